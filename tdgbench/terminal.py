@@ -38,6 +38,8 @@ def printable(text: str) -> str:
     >>> printable("a scene\x1b[2J")
     'a scene\\x1b[2J'
     """
+    if text.replace("\n", "").replace("\t", "").isprintable():  # in one pass: pages of the report are long
+        return text
     return "".join(c if c.isprintable() or c in "\n\t" else ascii(c)[1:-1] for c in text)
 
 

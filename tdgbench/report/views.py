@@ -30,7 +30,7 @@ def middle_view(folders: Iterable[Path]) -> str:
 def embedded(pixels: np.ndarray) -> str:
     """Return a picture (H, W, 3) uint8 as a data URI."""
     buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG", optimize=True)
+    Image.fromarray(pixels).save(buffer, "PNG")
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 

@@ -13,6 +13,7 @@ from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.adam import AdamStep, Decay, Deferred, Rows, Stale, Update, flush_rows, sum_displacements
+from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients, PendingGradients
@@ -25,6 +26,7 @@ RHO = BETA1 / math.sqrt(BETA2)
 FLUSH_EVERY = 128  # steps
 # |m| / √v ≤ (1 − β1) / √(1 − β2) · √(Σ (β1² / β2)^j) by Cauchy and Schwarz: no step is longer than 7.3 rates.
 MAX_SPEED = (1 - BETA1) / math.sqrt((1 - BETA2) * (1 - BETA1**2 / BETA2))
+UPDATE_CONSTANTS = tuple(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS))
 MAX_DEFERRED = MAX_SPEED * RHO / (1 - RHO)  # rates by which deferred steps can move a row
 
 
@@ -97,6 +99,12 @@ class Adam:
         self._flushed = 0  # step of the last flush
         self._used = 0  # columns that ever had a gradient
         width = state.values.shape[1]
+        self._places = {name: state.columns_of(name) for name in names}
+        self._constant_rates = np.zeros(width)
+        for name, columns in self._places.items():
+            self._constant_rates[columns] = self._rate_of(name, 0)
+        self._of_means = [at for name, at in self._places.items() if self.learning_rates.get(name, name) == "means"]
+        self._update_columns = empty_aligned((2, width), np.float32)
         self._coefficients = torch.zeros(FLUSH_EVERY, width).numpy()  # by step: rate √(1 − β2^t) / (1 − β1^t)
         self._displacements = torch.zeros((FLUSH_EVERY + 1) * width).numpy()
         exponents = np.arange(FLUSH_EVERY + 2, dtype=np.float64)
@@ -126,10 +134,12 @@ class Adam:
         if not self.is_sparse:
             return self._step_all(gradients.compute().values, rates / bias1, np.sqrt(bias2))
         self._used = max(self._used, gradients.columns)
-        step_sizes, per_bias2 = torch.zeros(2, len(rates))
-        step_sizes[:], per_bias2[:] = torch.from_numpy(rates / bias1), torch.from_numpy(1 / np.sqrt(bias2))
-        self._coefficients[state.now % FLUSH_EVERY] = rates * np.sqrt(bias2) / bias1
-        update = Update(step_sizes.numpy(), per_bias2.numpy(), *(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS)))
+        roots = np.sqrt(bias2)
+        step_sizes, per_bias2 = self._update_columns
+        np.divide(rates, bias1, out=step_sizes, casting="same_kind")
+        np.divide(1, roots, out=per_bias2, casting="same_kind")
+        self._coefficients[state.now % FLUSH_EVERY] = rates * roots / bias1
+        update = Update(step_sizes, per_bias2, *UPDATE_CONSTANTS)
         step = AdamStep(self._rows(gradients.columns), self._deferred(state.now - 1), self._decay, update)
         bad = gradients.take_step(step, statistics)
         deferred = state.now - self._flushed
@@ -190,10 +200,9 @@ class Adam:
 
     def _rows(self, columns: int) -> Rows:
         """Return the state's memory, as the kernels take it."""
-        state = self.state
-        values, first, second = (t.numpy().reshape(-1) for t in (state.values, state.first, state.second))
-        bounds, clocks = state.bounds.numpy(), state.clocks.numpy()
-        return Rows(values, first, second, bounds, clocks, state.values.shape[1], columns)
+        values, first, second, bounds, clocks = self.state.arrays()
+        flat = (values.reshape(-1), first.reshape(-1), second.reshape(-1))
+        return Rows(*flat, bounds, clocks, values.shape[1], columns)
 
     def _deferred(self, last: int) -> Deferred:
         """Return constants of the deferred steps up to step `last`."""
@@ -202,15 +211,15 @@ class Adam:
 
     def _columns(self, iteration: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return learning rate, 1 − β1^t and 1 − β2^t of each column: float64 (columns,)."""
-        width = self.state.values.shape[1]
-        rates, steps = np.zeros(width), np.ones(width)
-        for name, count in self.steps.items():
-            columns = self.state.columns_of(name)
-            rates[columns], steps[columns] = self._rate_of(name, iteration), max(count, 1)
+        rates, steps = self._constant_rates.copy(), np.ones(len(self._constant_rates))
+        for columns in self._of_means:
+            rates[columns] = self.rates.means(iteration) * self.extent
+        for name, columns in self._places.items():
+            steps[columns] = max(self.steps[name], 1)
         return self.slowdown * rates, 1 - BETA1**steps, 1 - BETA2**steps
 
     def _rate_of(self, name: str, iteration: int) -> np.ndarray | float:
-        """Return the learning rate of a field, or those of its columns."""
+        """Return the learning rate of a field, or those of its columns. Only that of the means changes."""
         rate = self.learning_rates.get(name, name)
         if not isinstance(rate, str):
             return rate

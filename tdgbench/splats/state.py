@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -24,6 +24,16 @@ CHUNK_ROWS = 100_000  # converted to double precision at once
 ROWS = ("_values", "_first", "_second", "_bounds", "_clocks")  # arrays with one row per Gaussian
 
 
+class StateArrays(NamedTuple):
+    """Rows of a `TrainingState`: its properties of the same names."""
+
+    values: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    bounds: np.ndarray
+    clocks: np.ndarray
+
+
 class TrainingState:
     """N Gaussians as rows (N, columns): means, quats, log_scales, opacity_logits, sh, others; a row fills cache lines.
 
@@ -36,6 +46,7 @@ class TrainingState:
         self._extra = _columns_after(COLORS_AT + self.bases * self.channels, gaussians.extra_fields)
         self.columns = max([COLORS_AT + self.bases * self.channels, *(at.stop for at, _ in self._extra.values())])
         self.count = count
+        self._arrays: StateArrays | None = None  # of the current rows
         like = gaussians.means.detach()
         shape = (max(count, 1), padded(self.columns))
         self._values, self._first, self._second = (_allocate(like, shape).zero_() for _ in range(3))
@@ -47,6 +58,9 @@ class TrainingState:
 
     def __len__(self) -> int:
         return self.count
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_arrays": None}  # those of a copy share the memory of its own tensors
 
     @property
     def values(self) -> Tensor:
@@ -72,6 +86,13 @@ class TrainingState:
     def clocks(self) -> Tensor:
         """(N, 2) int32: steps up to which moments and parameters are current."""
         return self._clocks[: self.count]
+
+    def arrays(self) -> StateArrays:
+        """Return the rows as NumPy arrays, which share the memory of float32 rows on the CPU."""
+        if self._arrays is None:
+            tensors = (self.values, self.first, self.second, self.bounds, self.clocks)
+            self._arrays = StateArrays(*(tensor.numpy() for tensor in tensors))
+        return self._arrays
 
     def split(self, rows: Tensor) -> Gaussians:
         """Return rows (n, columns) as Gaussians; they share memory and gradients."""
@@ -134,7 +155,7 @@ class TrainingState:
             last = stays.nonzero().squeeze(1) + end
             for array in (self._values, self._bounds, self._first, self._second):
                 array[holes[holes < end]] = array[last]
-        self.count = end
+        self.count, self._arrays = end, None
         self._clocks[:end] = self.now
         if self.count > REORDER_AT * self._ordered_at:
             self.order_in_space()
@@ -164,7 +185,7 @@ class TrainingState:
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what `state_dict` returned, for Gaussians of the same layout."""
-        self.count = len(saved["_values"])
+        self.count, self._arrays = len(saved["_values"]), None
         for name in ROWS:
             array = _allocate(getattr(self, name), (max(self.count, 1), saved[name].shape[1]))
             array[: self.count] = saved[name]
@@ -175,7 +196,7 @@ class TrainingState:
         """Raise the capacity to `count` rows or more."""
         if count <= len(self._values):
             return
-        capacity = capacity_for(count, self._values.device)
+        capacity, self._arrays = capacity_for(count, self._values.device), None
         for name in ROWS:
             old = getattr(self, name)
             larger = _allocate(old, (capacity, old.shape[1]))

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from omegaconf import OmegaConf
-from scipy import stats
+from scipy.special import stdtrit
 
 from tdgbench.tables.measures import HOURS, MEASURES, half_unit
 from tdgbench.tables.published import FOLDER
@@ -101,7 +101,9 @@ def seeds_needed(distance: float, std: float, half_unit: float, margin: float) -
 
 def _power(shift: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Return the power of a one-sided t test at a true difference of `shift` standard errors (noncentral t)."""
-    return stats.nct.sf(stats.t.isf(ALPHA, seeds - 1), seeds - 1, np.minimum(shift, 50.0))
+    from scipy.stats import nct  # takes half a second to import; few runs need it
+
+    return nct.sf(-stdtrit(seeds - 1, ALPHA), seeds - 1, np.minimum(shift, 50.0))
 
 
 def verdict(metric: str, scene: str, ours: float, published: float, std: float, seeds: int) -> ScoreVerdict:

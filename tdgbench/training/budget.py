@@ -51,9 +51,10 @@ class SettlingRule:
     fewest: PositiveInt  # held-out views; none are held out of less than four times as many training views
     most: PositiveInt  # held-out views
     every: PositiveInt  # iterations between checks
-    checks: PositiveInt  # in a window, at least
+    checks: PositiveInt  # in a window below the full resolution, at least
+    last_checks: PositiveInt  # in a window at the full resolution, at least
     window: Annotated[float, Field(gt=0, le=0.5)]  # share of the checks at a resolution that is in a window
-    gain: PositiveFloat  # dB, the median over held-out views
+    gain: PositiveFloat  # dB, the mean over held-out views
     tail: PositiveFloat  # iterations after settling, as a share of those before
     slowdown: Annotated[float, Field(gt=0, le=1)]  # of all learning rates at the end
 

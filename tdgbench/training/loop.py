@@ -106,8 +106,9 @@ def _ends(trainer: Trainer, iteration: int, loss: float) -> bool:
     """Return whether the stage ends with an iteration."""
     rules = [part for part in (trainer.stopping, *trainer.parts.values()) if isinstance(part, Stopping)]
     reached = [rule.reached(iteration, loss) for rule in rules]  # all of them take the loss
-    recovered = all(part.has_recovered(iteration) for part in trainer.parts.values())
-    return iteration >= trainer.context.budget.iterations or (any(reached) and recovered)
+    if iteration >= trainer.context.budget.iterations:
+        return True
+    return any(reached) and all(part.has_recovered(iteration) for part in trainer.parts.values())
 
 
 def _line(log: TrainingLog, step: Step, loss: float, terms: dict[str, float], trainer: Trainer) -> LogLine:

@@ -29,9 +29,12 @@ def spread(views: list[View], count: int) -> list[View]:
     return [views[int((i + 0.5) * len(views) / count)] for i in range(count)]
 
 
-def windows(rule: SettlingRule, psnrs: list[list[float]]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the PSNR (V,) of V views in the last window and the one before; None while there are too few checks."""
-    size = max(rule.checks, math.ceil(rule.window * len(psnrs)))
+def windows(rule: SettlingRule, psnrs: list[list[float]], fewest: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the PSNR (V,) of V views in the last window, of `fewest` checks or more, and in the one before.
+
+    None while there are too few checks.
+    """
+    size = max(fewest, math.ceil(rule.window * len(psnrs)))
     if len(psnrs) < 2 * size:
         return None
     values = np.array(psnrs)
@@ -100,8 +103,8 @@ class Settling(Stopping):
         if curriculum.scale != self._scale:  # by the schedule
             self._leave_resolution()
         self._psnrs.append(self._held_out_psnrs())
-        last_two = windows(rule, self._psnrs)
-        if last_two is None or float(np.median(last_two[0] - last_two[1])) >= rule.gain:
+        last_two = windows(rule, self._psnrs, rule.last_checks if curriculum.is_at_full_resolution else rule.checks)
+        if last_two is None or float(np.mean(last_two[0] - last_two[1])) >= rule.gain:
             return None
         is_last = curriculum.is_at_full_resolution or self._no_better >= IN_A_ROW - 1
         if is_last and not self._is_best(last_two[0]):
@@ -114,7 +117,7 @@ class Settling(Stopping):
 
     def _is_best(self, psnrs: np.ndarray) -> bool:
         """Return whether held-out views (V,) are better than with the best resolution so far."""
-        return not self._best_scale or float(np.median(psnrs - self._best_psnrs)) >= self.rule.gain
+        return not self._best_scale or float(np.mean(psnrs - self._best_psnrs)) >= self.rule.gain
 
     def _leave_resolution(self) -> None:
         """Compare the last resolution with the best one so far, and start with the current one."""

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,10 +12,10 @@ from tests.helpers.masks import masked_scene
 from tests.helpers.training import digest, ready_to_train
 
 RULE = SettlingRule(
-    share=0.1, fewest=1, most=8, every=10, checks=2, window=0.2, gain=0.1, tail=0.5, slowdown=0.1
+    share=0.1, fewest=1, most=8, every=10, checks=2, last_checks=2, window=0.2, gain=0.1, tail=0.5, slowdown=0.1
 )  # fmt: skip
 CONF = (
-    "+budget.settling={_target_:tdgbench.training.budget.SettlingRule,share:0.1,fewest:1,most:2,every:5,checks:1,"
+    "+budget.settling={_target_:tdgbench.training.budget.SettlingRule,share:0.1,fewest:1,most:2,every:5,checks:1,last_checks:1,"
     "window:0.2,gain:50,tail:0.5,slowdown:0.1}"
 )
 
@@ -34,11 +36,11 @@ class Watched(Part):
 class Scripted(Settling):
     """Settling whose held-out PSNR follows a script: psnr(iteration, scale), a number or one for each view."""
 
-    def __init__(self, psnr, iterations=1000, held_out=(1,), steps=()):
+    def __init__(self, psnr, iterations=1000, held_out=(1,), steps=(), rule=RULE):
         self.curriculum = Curriculum(list(steps))
         self.curriculum.held_out, self.curriculum.is_holding = list(held_out), bool(held_out)
         self.part, self.psnr, self.asked, self.iteration = Watched(), psnr, [], 0
-        super().__init__(RULE, iterations, self.curriculum, {"thermal": self.part}, errors=lambda view: 1 / 0)
+        super().__init__(rule, iterations, self.curriculum, {"thermal": self.part}, errors=lambda view: 1 / 0)
 
     def reached(self, iteration, loss=0.0):
         self.iteration = iteration
@@ -79,11 +81,17 @@ def test_windows_grow_with_the_checks():
     assert long.stopped[0] > 400 + 2 * 10 * RULE.checks  # windows of a fifth of 40 checks see the rise for longer
 
 
-def test_one_view_that_gets_worse_does_not_settle_it():
-    def psnr(i, scale):
-        return [i / 10, i / 10, 30.0 - i]
+def test_the_mean_over_held_out_views_decides_as_for_test_views():
+    views = {"held_out": (1, 2, 3), "iterations": 300}
+    assert end_of(Scripted(lambda i, scale: [i / 10, 20.0, 20.0 - i / 100], **views)) == 300
+    assert end_of(Scripted(lambda i, scale: [20.0 - i, 20.0 + i / 100, 20.0 + i / 100], **views)) == 40 + 20
 
-    assert end_of(Scripted(psnr, held_out=(1, 2, 3), iterations=300)) == 300
+
+def test_windows_are_longer_at_the_full_resolution():
+    rule = replace(RULE, last_checks=3)
+    stalls = Scripted(lambda i, scale: 10.0 / scale, steps=[(400, 2)], rule=rule)
+    assert end_of(stalls) == 100 + 50
+    assert stalls.curriculum.iterations == {2: 40, 1: 60 + 50}
 
 
 def test_a_stall_below_the_full_resolution_raises_it():

@@ -127,7 +127,8 @@ class CpuBackend(Backend):
         if options.hook is not None or camera.viewmat.requires_grad or state.channels + options.depth > MAX_CHANNELS:
             return super().render_state(state, optimizer, camera.to(state.values), options, collect)
         tolerance = options.tolerance or EVERYWHERE
-        source = source_of_rows(state.values.numpy(), state.bounds.numpy(), *tolerance, optimizer.stale())
+        rows = state.arrays()
+        source = source_of_rows(rows.values, rows.bounds, *tolerance, optimizer.stale())
         settings = _settings(camera, state.channels, options.sh_degree, options.of_view)
 
         def deliver(blended: Blended) -> None:

@@ -7,6 +7,7 @@ may hold them for as long as it lives.
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 from collections import defaultdict
 
@@ -25,11 +26,11 @@ def empty_aligned(shape: tuple[int, ...], dtype: type) -> np.ndarray:
     >>> empty_aligned((3, 5), np.float32).ctypes.data % ALIGNMENT
     0
     """
-    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    return _aligned_part(np.empty(size + ALIGNMENT, np.uint8), size).view(dtype).reshape(shape)
+    return np.ndarray(shape, dtype, _aligned_bytes(math.prod(shape) * np.dtype(dtype).itemsize))
 
 
-def _aligned_part(buffer: np.ndarray, size: int) -> np.ndarray:
+def _aligned_bytes(size: int) -> np.ndarray:
+    buffer = np.empty(size + ALIGNMENT, np.uint8)
     start = -buffer.ctypes.data % ALIGNMENT
     return buffer[start : start + size]
 
@@ -50,13 +51,14 @@ class Workspace:
 
     def take(self, role: str, shape: int | tuple[int, ...], dtype: type) -> np.ndarray:
         """Return an array of a shape, with arbitrary contents."""
-        size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+        count = shape if isinstance(shape, int) else math.prod(shape)
+        size = count * np.dtype(dtype).itemsize
         waiting = _free[role]
         buffer = waiting.pop() if waiting else None
-        if buffer is None or len(buffer) < size + ALIGNMENT:
-            buffer = np.empty(int(size * HEADROOM) + ALIGNMENT, np.uint8)
+        if buffer is None or len(buffer) < size:
+            buffer = _aligned_bytes(int(size * HEADROOM))
         self._taken.append((role, buffer))
-        return _aligned_part(buffer, size).view(dtype).reshape(shape)
+        return np.ndarray(shape, dtype, buffer)
 
     def __del__(self) -> None:
         for role, buffer in self._taken:

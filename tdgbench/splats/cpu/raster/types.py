@@ -5,6 +5,7 @@ Arrays are cut into spans (first, count), one per thread; the rows between spans
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -21,6 +22,8 @@ from tdgbench.splats.cpu.scratch import Workspace
 U_, V_, A_, B_, C_, LOG2_OPACITY, OPACITY, CHANNELS = range(8)
 FIRST_X, LAST_X, FIRST_Y, LAST_Y, RADIUS = range(11, 16)  # box in which alpha ≥ 1/255 and screen radius, whole px
 FLOATS = 16
+
+MAX_CAMERAS = 1024  # packed ones that are kept
 
 Triple = tuple[np.float32, np.float32, np.float32]
 
@@ -159,12 +162,18 @@ class GradientRows:
 
 def pack_camera(viewmat, K, width: int, height: int, near_plane: float, far_plane: float, eps2d: float) -> PackedCamera:
     """Return the camera of viewmat (4, 4), world to camera, and K (3, 3), px; arrays or tensors on the CPU."""
-    view = np.asarray(viewmat, np.float64)
-    K = np.asarray(K, np.float64)
+    numbers = np.asarray(viewmat, np.float64).tobytes(), np.asarray(K, np.float64).tobytes()
+    return _packed(*numbers, width, height, near_plane, far_plane, eps2d)
+
+
+@functools.lru_cache(MAX_CAMERAS)
+def _packed(viewmat: bytes, K: bytes, *others: float) -> PackedCamera:
+    view, intrinsics = np.frombuffer(viewmat).reshape(4, 4), np.frombuffer(K).reshape(3, 3)
+    width, height, near_plane, far_plane, eps2d = others
     axes = (_triple(row) for row in view[:3, :3])
     exact = np.linalg.solve(view[:3, :3], -view[:3, 3])
     centre = _triple(exact)
-    intrinsics = map(np.float32, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+    intrinsics = map(np.float32, intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]])
     planes_and_size = map(np.float32, (near_plane, far_plane, eps2d, width, height))
     return PackedCamera(*axes, *intrinsics, centre, _triple(exact - np.array(centre)), *planes_and_size)
 
@@ -174,6 +183,7 @@ def _triple(values: np.ndarray) -> Triple:
     return x, y, z
 
 
+@functools.lru_cache
 def pack_limits(blending: Blending) -> Limits:
     """Return the limits of a blending. Raises ValueError where no cutoff exists.
 
