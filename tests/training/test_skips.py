@@ -127,7 +127,9 @@ def test_the_rules_of_the_lean_budget(small_gray_scene):
 
 
 def test_a_training_that_never_settles_has_no_skip(small_gray_scene):
-    found, _ = after_lean(small_gray_scene, "budget.settling.gain=1e-9", "budget.settling.checks=9", "budget.settling.last_checks=9")
+    found, _ = after_lean(
+        small_gray_scene, "budget.settling.gain=1e-9", "budget.settling.checks=9", "budget.settling.last_checks=9"
+    )
     assert not found["settling"].taken and "went on getting better" in found["settling"].reason
 
 
