@@ -91,12 +91,14 @@ def count_scale(path: Path, given: CountScale) -> CountScale:
 def read_celsius(path: Path, scale: CountScale = NO_SCALE) -> np.ndarray:
     """Read temperatures (H, W) float64 in °C; NaN where the file holds none.
 
-    FLIR radiometric JPEG: the object's temperature with the file's own settings. Float TIFF: °C. 16-bit TIFF or PNG:
-    counts, of which the file (`count_scale`) or `scale` says the temperature. Raises SceneError naming the file.
+    FLIR radiometric JPEG: the object's temperature with the file's own settings. Float TIFF: °C. 16-bit TIFF or PNG,
+    raw counts of DJI: counts, of which the file (`count_scale`) or `scale` says the temperature. Raises SceneError
+    naming the file.
     """
     with opened_image(path) as image:
         if image.format in ("JPEG", "MPO"):
-            return read_thermogram(path).celsius
+            counts = dji_counts(path) if scale.is_known else None
+            return read_thermogram(path).celsius if counts is None else _valid_or_nan(scale.degC(counts), path)
         mode, values = image.mode, np.asarray(image).astype(np.float64)
     if mode in COUNT_MODES:
         scale = count_scale(path, scale)
@@ -118,8 +120,8 @@ def read_thermogram(path: Path) -> Thermogram:
         maker = _maker(image)
     if maker == "DJI":
         raise SceneError(
-            f"{path} is a radiometric JPEG of DJI, which no installable package decodes; export it as float TIFF in °C "
-            "with DJI's Thermal SDK (dji_irp) or DJI Thermal Analysis Tool"
+            f"{path} is a radiometric JPEG of DJI, whose counts only DJI's SDK turns into °C: export it as float TIFF "
+            "with the SDK's dji_irp (docs/data.md), or say which temperature they mean: degC_per_count, degC_at_zero"
         )
     if maker is None:
         raise SceneError(f"{path} holds no temperatures: it has no FLIR segment; use the camera's original file")
@@ -139,7 +141,7 @@ def read_thermogram(path: Path) -> Thermogram:
 def dji_counts(path: Path) -> np.ndarray | None:
     """Return the raw counts (H, W) of a radiometric JPEG of DJI, little-endian in its APP3 segments; None of others.
 
-    What they mean in °C only DJI's SDK says. Raises SceneError if there are not as many as pixels.
+    What they mean in °C only DJI's SDK says, or a user. Raises SceneError if there are not as many as pixels.
     """
     with opened_image(path) as image:
         if image.format == "TIFF" or _maker(image) != "DJI":

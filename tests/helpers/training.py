@@ -11,6 +11,7 @@ import torch
 
 from tdgbench.bench.setup import set_up
 from tdgbench.scenes import Scene
+from tdgbench.splats import Gaussians
 from tdgbench.splats.gradients import Gradients
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
@@ -47,6 +48,19 @@ def trained(
     extra = [f"{k}={v}" for k, v in overrides.items()]
     trainer = ready_to_train(scene, method_name, iterations, *OFTEN, *extra, seed=seed, skips=skips)
     return trainer, train(trainer)
+
+
+def at_thermal_stage(scene: Scene, name: str, *overrides: str) -> tuple[Trainer, dict[str, Gaussians]]:
+    """Train MFTG for 120 iterations; return its trainer, and its models after the 60 of the RGB stage."""
+    trainer = ready_to_train(scene, name, 120, *OFTEN, *overrides)
+    states = []
+
+    def note(log: TrainingLog) -> None:
+        if log.iterations == 60:
+            states.append({part: model.copy() for part, model in trainer.gaussians.items()})
+
+    train(trainer, after_iteration=note)
+    return trainer, states[0]
 
 
 class KilledError(Exception):

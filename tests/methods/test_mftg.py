@@ -4,20 +4,7 @@ import pytest
 import torch
 
 from tdgbench.training.losses import thermal_loss
-from tests.helpers.training import OFTEN, ready_to_train, train
-
-
-def at_thermal_stage(scene, name):
-    """Return a trainer after 60 of 120 iterations, whose RGB model has grown, before the first thermal step."""
-    trainer = ready_to_train(scene, name, 120, *OFTEN)
-    states = []
-
-    def note(log):
-        if log.iterations == 60:
-            states.append({part: model.copy() for part, model in trainer.gaussians.items()})
-
-    train(trainer, after_iteration=note)
-    return trainer, states[0]
+from tests.helpers.training import at_thermal_stage
 
 
 def test_as_released_it_starts_from_the_cloud_with_the_degree_of_the_rgb_model(small_gray_scene):

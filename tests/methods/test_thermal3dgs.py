@@ -67,6 +67,23 @@ def test_the_corner_loss_counts_valid_pixels_only():
     assert corner_loss(image, target, valid) == corner_loss(image, changed, valid) != corner_loss(image, changed)
 
 
+def test_released_and_described_corner_weights_are_opposite():
+    """An error counts at the corner of a warm square, on its edge, or where the render is flat."""
+    image = torch.full((24, 24, 1), 0.2, dtype=torch.float64)
+    image[8:, 8:] = 0.6
+    places = {"corner": (8, 8), "edge": (8, 16), "flat": (16, 16)}
+    losses = {}
+    for name, place in places.items():
+        target = image.clone()
+        target[place] += 0.1
+        losses[name] = [corner_loss(image, target, described=described).item() * 24**2 for described in (False, True)]
+    assert losses["corner"] == [pytest.approx(0, abs=1e-12), pytest.approx(0.1, rel=0.3)]
+    assert losses["edge"] == [pytest.approx(0, abs=1e-12), 0]
+    assert losses["flat"] == [pytest.approx(0.1), 0]
+    flat = torch.full_like(image, 0.5)
+    assert corner_loss(flat, flat + 0.1, described=True).item() == 0
+
+
 def test_a_record_says_whether_the_conduction_module_is_dead(small_gray_scene):
     found = set()
     for seed in range(6):

@@ -110,7 +110,7 @@ def test_dji_names_the_remedy(tmp_path):
     app3 = b"\xff\xe3\x00\x10" + bytes(14)
     (tmp_path / "dji.jpg").write_bytes(with_segments((tmp_path / "plain.jpg").read_bytes(), [exif, app3]))
     assert is_radiometric(tmp_path / "dji.jpg")
-    with pytest.raises(SceneError, match=r"dji\.jpg is a radiometric JPEG of DJI.* export it as float TIFF"):
+    with pytest.raises(SceneError, match=r"dji\.jpg is .* of DJI.* export it as float TIFF.* degC_per_count"):
         read_celsius(tmp_path / "dji.jpg")
 
 

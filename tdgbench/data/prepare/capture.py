@@ -150,9 +150,13 @@ def read_capture(
 def read_view(files: ViewFiles, scale: CountScale) -> ViewContent:
     """Read a view's files. Raises SceneError naming the file."""
     if files.rgb is None:
-        thermogram = read_thermogram(files.thermal)
-        if thermogram.photo is None:
-            raise SceneError(f"{files.thermal} holds no photo; put an RGB image of the same name beside it")
+        is_dji = dji_counts(files.thermal) is not None
+        thermogram = None if is_dji else read_thermogram(files.thermal)
+        if thermogram is None or thermogram.photo is None:
+            raise SceneError(
+                f"{files.thermal} holds no photo: put an RGB image of the same name beside it, or name both by "
+                "--pairs, or find poses in thermal images alone, by --sfm thermal"
+            )
         photo = thermogram.photo.astype(np.float32) / 255
         return ViewContent(thermogram.celsius, photo, thermogram.mapping, _in_words(thermogram.settings))
     if holds_celsius(files.thermal, scale):
@@ -164,12 +168,12 @@ def read_view(files: ViewFiles, scale: CountScale) -> ViewContent:
 def read_thermal(path: Path, scale: CountScale) -> ViewContent:
     """Read a view of thermal images alone; counts without a scale stay counts. Raises SceneError naming the file."""
     counts = dji_counts(path)
-    if counts is not None:
+    if counts is not None and not scale.is_known:
         return ViewContent((counts[:, :, None] / MOST_COUNTS).astype(np.float32), None)
     is_scaled = storage(path) != "16-bit" or count_scale(path, scale).is_known
     if not (is_scaled and holds_celsius(path, scale)):
         return ViewContent(read_image(path), None)
-    if path.suffix.lower() in JPEG:
+    if counts is None and path.suffix.lower() in JPEG:
         thermogram = read_thermogram(path)
         return ViewContent(thermogram.celsius, None, None, _in_words(thermogram.settings))
     return ViewContent(read_celsius(path, scale), None, None, _tlinear(path, scale))

@@ -21,7 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", type=Path, metavar="OUT", help="the scene's folder, which must not exist")
     parser.add_argument("--pairs", nargs=2, metavar=("THERMAL", "RGB"),
                         help="names of the files, * stands for the view: '*_T.tiff' '*_V.jpg'")  # fmt: skip
-    parser.add_argument("--degC-per-count", type=_number, metavar="A", help="16-bit thermal: degC = counts × A + B")
+    parser.add_argument(
+        "--degC-per-count", type=_number, metavar="A", help="16-bit or DJI's counts: degC = counts × A + B"
+    )
     parser.add_argument("--degC-at-zero", type=_number, default=0.0, metavar="B")
     parser.add_argument("--mapping", nargs=3, type=_number, metavar=("RATIO", "X", "Y"),
                         help="thermal covers 1/RATIO of the RGB width, its centre X, Y px off")  # fmt: skip

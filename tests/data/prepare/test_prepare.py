@@ -176,16 +176,47 @@ def test_errors_leave_nothing(tmp_path, small_gray_scene):
         prepare_scene(source, out, EXTRACT)
 
 
-def test_dji_files_are_reported_with_the_remedy(tmp_path):
-    source = tmp_path / "camera"
-    source.mkdir()
-    Image.fromarray(np.zeros((8, 8), np.uint8)).save(source / "plain.jpg")
-    plain = (source / "plain.jpg").read_bytes()
-    exif, app3 = b"\xff\xe1\x00\x20" + b"Exif\0\0MM DJI".ljust(30, b"\0"), b"\xff\xe3\x00\x10" + bytes(14)
-    (source / "plain.jpg").unlink()
-    (source / "DJI_0001_R.JPG").write_bytes(plain[:2] + exif + app3 + plain[2:])
-    with pytest.raises(SceneError, match="export it as float TIFF"):
-        prepare_scene(source, tmp_path / "out", EXTRACT)
+DJI_SCALE = CountScale(0.025, -120)
+
+
+def dji_capture(scene, folder, views=6):
+    """DJI files `V_T.JPG` of a scene, whose counts are °C by DJI_SCALE, and RGB images `V_V.png`."""
+    folder.mkdir()
+    for view in scene.views[:views]:
+        counts = (celsius(view, scene) - DJI_SCALE.degC_at_zero) / DJI_SCALE.degC_per_count
+        write_dji(folder / f"{view.name}_T.JPG", np.round(counts).astype("<u2"))
+        Image.fromarray(np.uint8(view.rgb * 255)).resize((96, 72)).save(folder / f"{view.name}_V.png")
+    return folder
+
+
+def test_dji_files_are_reported_with_the_remedy(tmp_path, small_gray_scene):
+    source = dji_capture(small_gray_scene, tmp_path / "camera")
+    pairs = replace(EXTRACT, pairs=("*_T.JPG", "*_V.png"))
+    with pytest.raises(SceneError, match=r"export it as float TIFF with the SDK's dji_irp .*or say .*degC_per_count"):
+        prepare_scene(source, tmp_path / "out", pairs)
+    for path in source.glob("*.png"):
+        path.unlink()
+    with pytest.raises(SceneError, match=r"holds no photo: put an RGB image .* or find poses .* by --sfm thermal"):
+        prepare_scene(source, tmp_path / "out", replace(EXTRACT, counts=DJI_SCALE))
+
+
+@pytest.mark.parametrize("how", ["options", "file", "pairs"])
+def test_stated_temperatures_of_dji_counts(tmp_path, small_gray_scene, monkeypatch, how):
+    """°C by options or temperature.json, with thermal images alone and beside RGB images."""
+    monkeypatch.setattr(module, "reconstruct", structure_of_thermal(small_gray_scene)[0])
+    source = dji_capture(small_gray_scene, tmp_path / "camera")
+    options = replace(THERMAL_ALONE if how != "pairs" else EXTRACT, pairs=("*_T.JPG", "*_V.png"))
+    if how == "file":
+        stated = {"min": 10, "max": 40, "degC_per_count": 0.025, "degC_at_zero": -120}
+        (source / "temperature.json").write_text(json.dumps(stated), encoding="utf-8")
+    else:
+        options = replace(options, counts=DJI_SCALE)
+    report = prepare_scene(source, tmp_path / "scene", options)
+    assert report.is_complete and report.temperature is not None and "without °C" not in report.text()
+    assert (tmp_path / "scene" / "rgb").is_dir() == (how == "pairs")
+    for view in small_gray_scene.views[:6]:
+        degC = read_celsius(tmp_path / "scene" / "thermal" / f"{view.name}.tiff")
+        assert np.nanmax(np.abs(degC - celsius(view, small_gray_scene))) <= 0.0126  # half a count
 
 
 @pytest.mark.slow
