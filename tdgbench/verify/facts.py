@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
@@ -32,6 +32,7 @@ class LPIPSSettings(TypedDict):
 
     net: Net
     weights: str | None
+    weights_sha256: NotRequired[str]  # of a file of one's own
 
 
 @with_config(IGNORE)

@@ -16,7 +16,7 @@ from tdgbench.bench.scores import Row
 from tdgbench.scenes import Scene
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scoring import METRICS, LPIPSOptions, RenderedImages, Scorer
-from tdgbench.scoring.backbones import BackboneUnavailableError
+from tdgbench.scoring.backbones import BackboneUnavailableError, own_weights
 from tdgbench.scoring.metric import ImageMetric, Metric
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
 from tdgbench.verify.facts import metric_settings
@@ -101,15 +101,17 @@ def _again(metric: Metric, shown: ScoredView, stored: float | None) -> tuple[flo
 def _convention(record: Record) -> Convention:
     """Return the recorded convention; nothing is downloaded. Raises ValueError for settings that are unknown."""
     settings = metric_settings(record)
-    weights = settings["lpips"]["weights"]
+    net, weights = settings["lpips"]["net"], settings["lpips"]["weights"]
     try:
         if weights is not None:
             check_regular(Path(weights))
+        if own_weights(net, weights) != settings["lpips"].get("weights_sha256", own_weights(net, weights)):
+            raise ValueError("it is not the file that the scores were made with")
     except (OSError, ValueError) as error:
         return Convention(
             settings["ssim_border"], partial(_unusable, f"metrics.lpips.weights={weights}: {reason(error)}")
         )
-    options = LPIPSOptions(settings["lpips"]["net"], weights, download=False)
+    options = LPIPSOptions(net, weights, download=False)
     return Scorer(settings["convention"], settings["ssim_border"], settings["lpips_range"], options).settings
 
 
