@@ -27,7 +27,11 @@ TOOLS = {
         (("[claims|sensitivity] DIR", "tables of results/<experiment>; the paper's claims; other conventions"),),
         "tdgbench.tables.command",
     ),
-    "compare": Tool((("A B", "two result folders: scores, verdicts, what differs"),), "tdgbench.compare"),
+    "compare": Tool(
+        (("A B, score DIR OUT [metrics=...]", "two result folders; DIR scored by another protocol, without training"),),
+        "tdgbench.compare",
+    ),
+    "score": Tool((), "tdgbench.rescore"),
     "data": Tool(
         (
             ("get NAME DIR, check DIR", "download thermalmix, rgbt_scenes or thermoscenes; which scenes are whole?"),
