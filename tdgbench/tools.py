@@ -47,6 +47,10 @@ TOOLS = {
     "verify": Tool(
         (("DIR|PACK ...", "check results against their records: hashes, renders, scores"),), "tdgbench.verify"
     ),
-    "pack": Tool((("DIR, unpack PACK DIR", "results in one file, to hand on; and back"),), "tdgbench.packs.command"),
+    "pack": Tool(
+        (("DIR, unpack PACK DIR, site PACK DIR", "results in one file, to hand on; and back; web pages of packs"),),
+        "tdgbench.packs.command",
+    ),
+    "site": Tool((), "tdgbench.site"),
     "unpack": Tool((), "tdgbench.packs.command", "unpack_main"),
 }

@@ -59,7 +59,7 @@ def score_cell(folder: Path, record: Record, target: Path, scorer: Scorer, metri
     start = time.perf_counter()
     rows = _rows(StoredViews(folder, record, read_cameras(folder)), scorer, known, todo)
     new.scores, new.train_scores = mean_scores(rows), dict(record.train_scores)
-    if known.is_there and new.scores == known.record.scores:
+    if known.is_there and (new.scores, config) == (known.record.scores, known.record.config):
         return []
     kept = {name: why for name, why in known.record.missing.items() if name in known.metrics or name not in METRICS}
     new.missing = {**kept, **{name: why for name, why in scorer.missing.items() if new.scores[name] is None}}
