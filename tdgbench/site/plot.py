@@ -17,6 +17,7 @@ WIDTH, HEIGHT = 480, 260
 LEFT, RIGHT, TOP, BOTTOM = 40, 130, 12, 42  # margins, px; labels are on the right of points
 TICKS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000, 86400)  # s
 LONGEST = 20  # characters of a label
+TICK_WIDTH = 52  # px
 PSNR, TIME = COLUMNS.index("psnr"), COLUMNS.index(HOURS.name)
 
 
@@ -43,6 +44,10 @@ def plot(rows: Sequence[Row]) -> dict[str, Any] | None:
 
     places = [(x(s), y(p)) for s, p in zip(seconds, psnr, strict=True)]
     labels = _apart([place[1] for place in places])
+    ticks: list[tuple[float, str]] = []
+    for second in TICKS:
+        if low <= second <= high and (not ticks or x(second) - ticks[-1][0] > TICK_WIDTH):
+            ticks.append((x(second), duration(second)))
     return {
         "width": WIDTH, "height": HEIGHT, "left": LEFT, "right": WIDTH - RIGHT, "bottom": HEIGHT - BOTTOM, "top": TOP,
         "points": [
@@ -50,7 +55,7 @@ def plot(rows: Sequence[Row]) -> dict[str, Any] | None:
              "title": f"{methods.label(row.column)}, {row.pack.name}: {_psnr(row):.2f} dB in {duration(_seconds(row))}"}
             for row, place, label in zip(known, places, labels, strict=True)
         ],
-        "x_ticks": [(x(s), duration(s)) for s in TICKS if ends_x[0] <= math.log(s) <= ends_x[1]],
+        "x_ticks": ticks,
         "y_ticks": [(y(level), f"{level:.{1 if step < 1 else 0}f}") for level in levels.tolist()],
     }  # fmt: skip
 

@@ -190,6 +190,9 @@ def test_weights_that_were_replaced_are_refused(experiment, capsys, monkeypatch)
     assert score(experiment, "b", "metrics.lpips.net=squeeze", f"metrics.lpips.weights={weights}") == 0
     weights.write_bytes(b"another")
     os.utime(weights, (1, 1))
+    assert any(
+        "it is not the file that the scores were made with" in p for p in verify(experiment.with_name("b")).problems
+    )
     monkeypatch.setattr(rescore_cell, "VERSION", 2)
     assert score(experiment.with_name("b"), "c") == 1
     assert "squeeze.pth is not the file of the first scores" in capsys.readouterr().out
