@@ -12,6 +12,7 @@ setup(
         "methods": ["py.typed"],
         "tdgbench.report": ["*.j2", "*.css", "*.js"],
         "tdgbench.compare": ["*.j2"],
+        "tdgbench.site": ["*.j2"],
         "tdgbench.conf": ["**/*.yaml"],
         "tdgbench.paper_tables": ["*"],
     },

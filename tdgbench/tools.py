@@ -27,7 +27,11 @@ TOOLS = {
         (("[claims|sensitivity] DIR", "tables of results/<experiment>; the paper's claims; other conventions"),),
         "tdgbench.tables.command",
     ),
-    "compare": Tool((("A B", "two result folders: scores, verdicts, what differs"),), "tdgbench.compare"),
+    "compare": Tool(
+        (("A B, score DIR OUT [metrics=...]", "two result folders; DIR scored by another protocol, without training"),),
+        "tdgbench.compare",
+    ),
+    "score": Tool((), "tdgbench.rescore"),
     "data": Tool(
         (
             ("get NAME DIR, check DIR", "download thermalmix, rgbt_scenes or thermoscenes; which scenes are whole?"),
@@ -43,6 +47,10 @@ TOOLS = {
     "verify": Tool(
         (("DIR|PACK ...", "check results against their records: hashes, renders, scores"),), "tdgbench.verify"
     ),
-    "pack": Tool((("DIR, unpack PACK DIR", "results in one file, to hand on; and back"),), "tdgbench.packs.command"),
+    "pack": Tool(
+        (("DIR, unpack PACK DIR, site PACK DIR", "results in one file, to hand on; and back; web pages of packs"),),
+        "tdgbench.packs.command",
+    ),
+    "site": Tool((), "tdgbench.site"),
     "unpack": Tool((), "tdgbench.packs.command", "unpack_main"),
 }

@@ -10,6 +10,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench.record import Record
+from tdgbench.scoring.backbones import own_weights
 from tdgbench.training.method import Method
 
 _OF_TABLES = ("label", "order", "compared_with")  # keys of a method's file that tables alone read
@@ -20,7 +21,6 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
     """Return the part of the configuration that a result depends on, as JSON can hold it."""
     plain: dict[str, Any] = as_json(OmegaConf.to_container(cfg, resolve=True))
     loader = _without_root(plain["dataset"]["loader"])
-    metrics = {**plain["metrics"], "lpips": {k: v for k, v in plain["metrics"]["lpips"].items() if k != "download"}}
     return {
         "dataset": loader,
         "init": plain["init"],
@@ -28,11 +28,18 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
         "method": {k: v for k, v in plain["method"].items() if k not in _OF_TABLES},
         "backend": plain["backend"],
         "budget": plain["budget"],
-        "metrics": metrics,
+        "metrics": relevant_metrics(plain["metrics"]),
         "skip": plain["skip"],
         "thermal_camera": plain["thermal_camera"],
         "seed": plain["seed"],
     }
+
+
+def relevant_metrics(metrics: dict[str, Any]) -> dict[str, Any]:
+    """Return options of metrics as records keep them: which weights LPIPS has, not whether they may be downloaded."""
+    lpips = {k: v for k, v in metrics["lpips"].items() if k != "download"}
+    own = own_weights(lpips["net"], lpips["weights"])
+    return {**metrics, "lpips": {**lpips, "weights_sha256": own} if own else lpips}
 
 
 def _without_root(loader: dict[str, Any]) -> dict[str, Any]:

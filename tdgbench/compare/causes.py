@@ -20,6 +20,7 @@ KINDS = {
 OF_PROTOCOL = ("protocol", "data", "split", "channels", "temperature_range", "views", "masked")  # fields of Record
 OF_TRAINING = ("iterations", "backend", "code", "prior", "init_points")
 PROTOCOL_OPTIONS = ("dataset", "metrics")  # groups of the configuration
+ELSEWHERE = ("metrics.lpips.weights",)  # says where weights are, not which they are
 
 
 class Cause(NamedTuple):
@@ -57,4 +58,5 @@ def settings(record: Record) -> dict[tuple[str, str], str]:
         whole[kind] |= {name: getattr(record, name) for name in fields}
     for group, options in record.config.items():
         whole[PROTOCOL if group in PROTOCOL_OPTIONS else TRAINING][group] = options
-    return {(kind, name): as_typed(value) for kind, of_kind in whole.items() for name, value in flat(of_kind).items()}
+    named = [(kind, name, value) for kind, of_kind in whole.items() for name, value in flat(of_kind).items()]
+    return {(MACHINE if name in ELSEWHERE else kind, name): as_typed(value) for kind, name, value in named}

@@ -41,7 +41,7 @@ def write_report(experiment: Path, tables: Tables) -> Path:
         skips=[{"title": cell.record.title, "skips": cell.record.skips} for cell in cells],
         failures=[(r.title, r.failure.phase, r.failure.error) for r in records if r.failure is not None],
         problems=tables.problems,
-        environments=_environments(records),
+        environments=environments(records),
     )
     path = experiment / FILE
     write_text(path, html)
@@ -62,7 +62,7 @@ def _visible(value: Any) -> Any:
     return printable(value) if type(value) is str else value
 
 
-def _environments(records: list[Record]) -> list[list[tuple[str, str]]]:
+def environments(records: list[Record]) -> list[list[tuple[str, str]]]:
     """Return the distinct machines and versions that the cells ran on; unreadable records say nothing of them."""
     groups = []
     for record in records:

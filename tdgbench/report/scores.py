@@ -117,7 +117,8 @@ def _by_scene(tables: Tables, metrics: list[str], published: dict[tuple[Any, ...
     for dataset, scene_name, method in places.loc[scene.sort_values(kind="stable").index].itertuples(index=False):
         keys = [(method, dataset, scene_name, metric) for metric in metrics]
         cells = [_number(values[key], published.get(key)) for key in keys]
-        rows.append({"head": [dataset, scene_name, methods.label(method)], "cells": cells})
+        head, key = [dataset, scene_name, methods.label(method)], (dataset, scene_name, method)
+        rows.append({"head": head, "key": key, "cells": cells})
     return {"heads": ["data set", "scene", "method"], "metrics": [MEASURES[m].title for m in metrics], "rows": rows}
 
 

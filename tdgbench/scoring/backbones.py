@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import socket
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +105,21 @@ def trunk_weights(net: str, file: str | None, download: bool) -> dict[str, Tenso
     if wrong:
         raise BackboneUnavailableError(f"{file or cached} does not hold the {net} backbone (features.{wrong[0]})")
     return {k: features[k].float() for k in expected}
+
+
+def own_weights(net: str, file: str | None) -> str:
+    """Return SHA-256 of a file of one's own; empty for torchvision's, whose name states its hash, and for none."""
+    if file is None or not Path(file).is_file():  # without it there are no scores
+        return ""
+    found = _sha256(Path(file), Path(file).stat().st_mtime_ns)
+    return "" if net in SPECS and found.startswith(Path(SPECS[net].file).stem.rpartition("-")[2]) else found
+
+
+@cache
+def _sha256(path: Path, changed: int) -> str:
+    """Return SHA-256 of a file that was changed at this time: half a gigabyte, once for all cells."""
+    with path.open("rb") as stored:
+        return hashlib.file_digest(stored, "sha256").hexdigest()
 
 
 def _read(path: Path) -> dict[str, Tensor]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields, replace
 from tdgbench.scenes.modalities import LABELS, THERMAL
 from tdgbench.scoring.scored_view import ImagePair, ScoredView
 
+LPIPS_OPTIONS = ("lpips_range", "lpips.net", "lpips.weights_sha256")
 AFTER_THERMAL = 40  # places in `order` by which metrics of other modalities follow those of thermal images
 
 
@@ -75,7 +76,13 @@ class Metric(Measure, ABC):
     order: int = 1000  # place among the columns of views.csv; equal orders stand by name
     needs: str = ""  # what a scene or method must have to be scored
     fits_to_test_view: str = ""  # what is fitted to a test view before it is scored; empty: nothing
+    options: tuple[str, ...] = ()  # of `metrics`, that the value depends on
     verified_to: float | None = None  # tolerance when `verify` recomputes it from a cell's files; None: it cannot
+
+    @property
+    def of_network(self) -> bool:
+        """Whether the value depends on LPIPS's network."""
+        return set(LPIPS_OPTIONS) <= set(self.options)
 
     @abstractmethod
     def score(self, shown: ScoredView) -> float:

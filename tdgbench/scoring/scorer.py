@@ -51,16 +51,18 @@ class Scorer:
         self.lpips_options = lpips
         self.missing: dict[str, str] = {}  # metric → why it is n/a
 
-    def score(self, scene: Scene, renders: Mapping[str, RenderedImages]) -> dict[str, dict[str, float | None]]:
-        """Return all metrics of each test view by name; None where one does not apply (the reason is in `missing`)."""
+    def score(
+        self, scene: Scene, renders: Mapping[str, RenderedImages], metrics: Sequence[Metric] = tuple(METRICS.values())
+    ) -> dict[str, dict[str, float | None]]:  # fmt: skip
+        """Return the metrics of each test view by name; None where one does not apply (the reason is in `missing`)."""
 
         common: dict[str, Any] = {}
 
         def score(view: View) -> _Scored:
             shown = ScoredView(view, renders[view.name], self.settings, scene, renders, common)
-            return _scored(shown, METRICS.values())
+            return _scored(shown, metrics)
 
-        if scene.test:
+        if scene.test and any(metric.of_network for metric in metrics):
             _ = self._lpips  # here, so that no two threads load the network
         with torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
             return self._collected(scene.test, map_views(score, scene.test, _most_pixels(scene.test)))

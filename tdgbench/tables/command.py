@@ -9,11 +9,14 @@ experiments together.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
 
 from tdgbench.files import write_text
+from tdgbench.scoring.backbones import SPECS
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.cell import finished_cells
@@ -22,7 +25,7 @@ from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
 from tdgbench.tables.findings import claims_in_words
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.records import read_results
-from tdgbench.tables.sensitivity import sensitivity
+from tdgbench.tables.sensitivity import Weights, sensitivity
 from tdgbench.tables.show import show_claims, show_findings, show_problems, show_sensitivity, show_tables
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
@@ -32,12 +35,15 @@ def main(arguments: list[str]) -> int:
     """Run the tool; return the exit status: 1 if a folder has no tables, or if something in it cannot be read."""
     parser = argparse.ArgumentParser(prog="tdgbench tables", description=__doc__)
     parser.add_argument("what", nargs="+", metavar="[claims|sensitivity] DIR", help="folders results/<experiment>")
-    what = parser.parse_args(arguments).what
+    parser.add_argument("--weights", action="append", default=[], metavar="NET=FILE", type=_weights,
+                        help="backbone of LPIPS for sensitivity, if torch's cache lacks it: vgg=vgg16.npz")  # fmt: skip
+    options = parser.parse_args(arguments)
+    what = options.what
     if what[0] == "claims":
         return _claims([Path(folder) for folder in what[1:]])
-    build = _tables
+    build: Callable[[Path], int] = _tables
     if what[0] == "sensitivity":
-        build, what = _sensitivity, what[1:]
+        build, what = partial(_sensitivity, weights=dict(options.weights)), what[1:]
         if not what:
             parser.error("sensitivity needs the folder of an experiment: results/<experiment>")
     return max(build(Path(folder)) for folder in what)
@@ -53,10 +59,18 @@ def _tables(experiment: Path) -> int:
     return int(bool(tables.problems))
 
 
-def _sensitivity(experiment: Path) -> int:
+def _weights(text: str) -> tuple[str, str]:
+    """Read NET=FILE."""
+    net, _, file = text.partition("=")
+    if net not in SPECS or not file:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NET=FILE with a network of {', '.join(SPECS)}")
+    return net, file
+
+
+def _sensitivity(experiment: Path, weights: Weights) -> int:
     try:
         results = read_results(experiment)
-        table = sensitivity(finished_cells(experiment, results.records))
+        table = sensitivity(finished_cells(experiment, results.records), weights)
     except (ValueError, OSError) as error:
         return _refused(error)
     (experiment / "tables").mkdir(exist_ok=True)

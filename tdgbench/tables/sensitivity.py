@@ -7,7 +7,7 @@ which method is better. A split or a value range cannot be changed without train
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -34,6 +34,9 @@ from tdgbench.tables.measures import MEASURES
 COLUMNS = ["score", "convention", "cells", "mean_change", "largest_change", "pairs", "reversed", "other_best", "reason"]
 RECORDED = "as recorded"  # the first choice of each score
 
+Weights = Mapping[str, str]  # file by network
+_NO_WEIGHTS: Weights = {}
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -43,9 +46,9 @@ class Choice:
     of_cell: Callable[[np.ndarray], float] = np.mean
 
 
-def choices(record: Record) -> dict[str, dict[str, Choice]]:
+def choices(record: Record, weights: Weights) -> dict[str, dict[str, Choice]]:
     """Return the ways to compute each score, by score and name; the record's own comes first."""
-    scorer = _scorer(record)
+    scorer = _scorer(record, weights)
     psnr, ssim, lpips = (_image_metric(name) for name in ("psnr", "ssim", "lpips"))
     border: Border = "valid" if scorer.settings.ssim_border == "zero" else "zero"
     range_: Range = "signed" if scorer.lpips_range == "unit" else "unit"
@@ -66,21 +69,22 @@ def choices(record: Record) -> dict[str, dict[str, Choice]]:
         },
         "lpips": {
             RECORDED: Choice(lpips),
-            f"range {range_}": Choice(_lpips_by(_scorer(record, lpips_range=range_))),
-            **{f"network {net}": Choice(_lpips_by(_scorer(record, net=net))) for net in nets},
+            f"range {range_}": Choice(_lpips_by(_scorer(record, weights, lpips_range=range_))),
+            **{f"network {net}": Choice(_lpips_by(_scorer(record, weights, net=net))) for net in nets},
             "of images half as wide": Choice(lambda pair: lpips(halved(pair))),
         },
     }
 
 
-def sensitivity(cells: Iterable[Cell]) -> pd.DataFrame:
+def sensitivity(cells: Iterable[Cell], weights: Weights = _NO_WEIGHTS) -> pd.DataFrame:
     """Return COLUMNS: a row per score and convention. Raises ValueError for cells that were scored in several ways.
 
+    weights: files with backbones of LPIPS, for networks that torch's cache lacks.
     mean_change, largest_change: of a cell's score against the record's convention. pairs: of cells that differ in
     method, initial points or variant, on one scene with one seed. reversed: in which the other cell is better now.
     other_best: scenes and seeds in which another cell is the best one. reason: why a convention has no values.
     """
-    scored = [_scores(cell) for cell in cells]
+    scored = [_scores(cell, weights) for cell in cells]
     names = {tuple(name for by_name in one.values.values() for name in by_name) for one in scored}
     if len(names) != 1:
         raise ValueError(
@@ -113,10 +117,10 @@ class _Scores:
     reasons: dict[tuple[str, str], str]
 
 
-def _scores(cell: Cell) -> _Scores:
+def _scores(cell: Cell, weights: Weights) -> _Scores:
     found = _Scores(cell, {}, {})
-    ways = choices(cell.record)
-    pairs = list(stored_pairs(cell.folder, _scorer(cell.record).settings))
+    ways = choices(cell.record, weights)
+    pairs = list(stored_pairs(cell.folder, _scorer(cell.record, weights).settings))
     for score, by_name in ways.items():
         found.values[score] = dict.fromkeys(by_name, np.nan)
         for name, choice in by_name.items():
@@ -178,11 +182,12 @@ def _lpips_by(scorer: Scorer) -> Callable[[ImagePair], float]:
     return lambda pair: scorer.lpips(pair.image, pair.target)
 
 
-def _scorer(record: Record, lpips_range: Range | None = None, net: Net | None = None) -> Scorer:
+def _scorer(record: Record, weights: Weights, lpips_range: Range | None = None, net: Net | None = None) -> Scorer:
     """Return the record's scorer, or one with another range or network; nothing is downloaded."""
     settings = record.setting("metrics")
     lpips = settings["lpips"]
-    options = LPIPSOptions(net or lpips["net"], lpips["weights"] if net is None else None, download=False)
+    net, recorded = net or lpips["net"], lpips["weights"] if net is None else None
+    options = LPIPSOptions(net, weights.get(net, recorded), download=False)
     return _shared(settings["convention"], settings["ssim_border"], lpips_range or settings["lpips_range"], options)
 
 

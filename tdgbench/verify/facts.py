@@ -7,51 +7,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
-from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
-
 from tdgbench.bench.cameras import Cameras
 from tdgbench.bench.key import cell_key
+from tdgbench.bench.metric_settings import metric_settings
 from tdgbench.bench.paths import cell_folder_of, files_of
 from tdgbench.bench.protocol import protocol_of
 from tdgbench.bench.record import FILE, Record, schema_problems
 from tdgbench.bench.scores import Row
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.scoring import TRAIN_METRICS
-from tdgbench.scoring.lpips import Net, Range
-from tdgbench.scoring.scored_view import Border, ConventionName
 from tdgbench.splats.ply import count_rows
 
 TIME_TOLERANCE = 0.002  # s; times are rounded to milliseconds
-IGNORE = ConfigDict(extra="ignore", strict=True)
-
-
-@with_config(IGNORE)
-class LPIPSSettings(TypedDict):
-    """Settings of LPIPS that a record keeps."""
-
-    net: Net
-    weights: str | None
-
-
-@with_config(IGNORE)
-class MetricSettings(TypedDict):
-    """Settings that scores depend on."""
-
-    convention: ConventionName
-    ssim_border: Border
-    lpips_range: Range
-    lpips: LPIPSSettings
-
-
-def metric_settings(record: Record) -> MetricSettings:
-    """Return the recorded settings of the scores. Raises ValueError for any that this version does not know."""
-    try:
-        return TypeAdapter(MetricSettings).validate_python(record.setting("metrics"))
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(["config.metrics", *(str(part) for part in first["loc"])])
-        raise ValueError(f"{FILE}: {place}: {first['msg']}") from error
 
 
 def field_problems(text: str) -> Iterator[str]:
@@ -88,7 +55,7 @@ def setting_problems(record: Record) -> Iterator[str]:
     for name, value in stated.items():
         if record.setting(name) != value:
             yield f"{FILE}: {name} is {value!r}, its configuration has {record.setting(name)!r}"
-    metric_settings(record)
+    metric_settings(record.setting("metrics"))
 
 
 def log_problems(record: Record, log: list[dict[str, float]]) -> Iterator[str]:

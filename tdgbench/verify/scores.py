@@ -10,16 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from tdgbench.bench.masks import masked_share
+from tdgbench.bench.metric_settings import metric_settings, scorer_of
 from tdgbench.bench.read_files import check_regular
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import Row
 from tdgbench.scenes import Scene
-from tdgbench.scenes.scene import TemperatureRange
-from tdgbench.scoring import METRICS, LPIPSOptions, RenderedImages, Scorer
-from tdgbench.scoring.backbones import BackboneUnavailableError
+from tdgbench.scoring import METRICS, RenderedImages
+from tdgbench.scoring.backbones import BackboneUnavailableError, own_weights
 from tdgbench.scoring.metric import ImageMetric, Metric
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
-from tdgbench.verify.facts import metric_settings
 from tdgbench.verify.pictures import StoredPictures
 from tdgbench.verify.problems import reason
 
@@ -62,7 +61,7 @@ def score_problems(record: Record, rows: dict[str, Row] | None, pictures: Stored
     if len(pictures.depths) < len(pictures.cameras):  # reported elsewhere; neighbours and depths are not known
         metrics = [metric for metric in metrics if isinstance(metric, ImageMetric)]
     computed: dict[str, list[float]] = {metric.name: [] for metric in metrics}
-    scene = _scene(record, pictures)
+    scene = pictures.scene()
     for name in pictures.cameras:
         try:
             shown = _shown(pictures, scene, name, convention)
@@ -100,37 +99,31 @@ def _again(metric: Metric, shown: ScoredView, stored: float | None) -> tuple[flo
 
 def _convention(record: Record) -> Convention:
     """Return the recorded convention; nothing is downloaded. Raises ValueError for settings that are unknown."""
-    settings = metric_settings(record)
-    weights = settings["lpips"]["weights"]
+    settings = metric_settings(record.setting("metrics"))
+    net, weights = settings["lpips"]["net"], settings["lpips"]["weights"]
     try:
         if weights is not None:
             check_regular(Path(weights))
+        if own_weights(net, weights) != settings["lpips"].get("weights_sha256", own_weights(net, weights)):
+            raise ValueError("it is not the file that the scores were made with")
     except (OSError, ValueError) as error:
         return Convention(
             settings["ssim_border"], partial(_unusable, f"metrics.lpips.weights={weights}: {reason(error)}")
         )
-    options = LPIPSOptions(settings["lpips"]["net"], weights, download=False)
-    return Scorer(settings["convention"], settings["ssim_border"], settings["lpips_range"], options).settings
+    return scorer_of(settings).settings
 
 
 def _unusable(why: str, image: np.ndarray, target: np.ndarray) -> float:
     raise BackboneUnavailableError(why)
 
 
-def _scene(record: Record, pictures: StoredPictures) -> Scene:
-    """Return the scene of the test views, as far as a cell's files have it."""
-    span = None if record.temperature_range is None else TemperatureRange(*record.temperature_range)
-    return Scene(
-        record.scene, record.dataset, record.group, train=[], test=[pictures.view(name) for name in pictures.cameras],
-        points=None, temperature=span, split=record.split, fingerprint=record.data, channels=record.channels,
-    )  # fmt: skip
-
-
 def _shown(pictures: StoredPictures, scene: Scene, name: str, convention: Convention) -> ScoredView:
     """Return a test view with its stored pictures and all views' depths. Raises ValueError for an unusable picture."""
     nothing = np.zeros((0, 0, 1), np.float32)
     renders = {other: RenderedImages(nothing, depth) for other, depth in pictures.depths.items()}
-    view, rendered = pictures.view(name), pictures.rendered(name)
+    camera = pictures.cameras[name]
+    depth = pictures.depths.get(name, np.zeros((camera.height, camera.width), np.float32))
+    view, rendered = pictures.view(name), pictures.rendered(name, depth)
     if view.thermal.shape != rendered.image.shape:
         raise ValueError(f"targets/{name}.png is {view.thermal.shape}, renders/{name}.png {rendered.image.shape}")
     return ScoredView(view, rendered, convention, scene, renders)

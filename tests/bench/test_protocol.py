@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import pandas as pd
 import pytest
 
 from tdgbench.bench.key import relevant_config
 from tdgbench.bench.protocol import VERSION, protocol_of, protocol_settings, protocols_apart
 from tdgbench.bench.record import read_all
+from tdgbench.scoring import backbones
+from tdgbench.scoring.backbones import TrunkSpec
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.long_table import protocol_notes
 from tdgbench.verify.facts import key_problems
@@ -40,6 +44,17 @@ def test_what_changes_a_score_changes_the_protocol(option):
 )  # fmt: skip
 def test_what_is_trained_and_the_data_do_not(option):
     assert name_of(option) == name_of()
+
+
+def test_weights_of_one_s_own_are_part_of_it_by_content(tmp_path, monkeypatch):
+    a, b, moved = (tmp_path / name for name in ("a.npz", "b.npz", "moved.npz"))
+    for path, content in ((a, b"one"), (b, b"another"), (moved, b"one")):
+        path.write_bytes(content)
+    names = [name_of(f"metrics.lpips.weights={path}") for path in (a, b, moved)]
+    assert names[0] == names[2] and len({*names, name_of()}) == 3
+    official = TrunkSpec(f"vgg16-{hashlib.sha256(b'one').hexdigest()[:8]}.pth", ())
+    monkeypatch.setitem(backbones.SPECS, "vgg", official)
+    assert name_of(f"metrics.lpips.weights={a}") == name_of() != name_of(f"metrics.lpips.weights={b}")
 
 
 def test_settings_have_the_names_of_the_command_line():

@@ -10,12 +10,12 @@ import pytest
 from PIL import Image
 
 from tdgbench.bench.record import read_record
-from tdgbench.compare.causes import MACHINE, PROTOCOL, TRAINING, find_causes
+from tdgbench.compare.causes import MACHINE, PROTOCOL, TRAINING, find_causes, settings
 from tdgbench.compare.cells import find_pairs, score_table
 from tdgbench.compare.command import main
 from tdgbench.tables.cell import finished_cells
 from tdgbench.tables.records import read_results
-from tests.helpers.records import write
+from tests.helpers.records import record, write
 
 
 def pairs_of(a, b):
@@ -127,3 +127,10 @@ def test_page_and_table_show_the_view_that_differs_most(tmp_path, small_results,
     assert page.count("<figure>") == 3 * (len(pairs_of(a, b)) - 1)
     table = pd.read_csv(tmp_path / "out" / "compare.csv")
     assert set(table["verdict"].dropna()) == {"identical"}
+
+
+def test_the_place_of_weights_is_no_protocol():
+    config = {"metrics": {"lpips": {"net": "vgg", "weights": "vgg.npz", "weights_sha256": "ab"}}}
+    kinds = {name: kind for kind, name in settings(record(config=config))}
+    assert kinds["metrics.lpips.weights"] == MACHINE
+    assert kinds["metrics.lpips.weights_sha256"] == kinds["metrics.lpips.net"] == PROTOCOL

@@ -216,7 +216,15 @@ def test_the_checklist_names_what_is_missing(small_results):
     missing = {item.title: item.missing for item in checklist(small_results)}
     assert "seed" not in missing["3 seeds of each cell"] and "turntable" in missing["3 seeds of each cell"]
     assert missing["every planned cell is finished"] == f"1 of {len(read_each(small_results))} cells"
-    assert missing["one protocol"] == missing["a log of each training"] == ""
+    assert missing["all test views are there"] == missing["one protocol"] == missing["a log of each training"] == ""
+
+
+def test_the_checklist_counts_test_views(small_results, tmp_path):
+    copy = Path(shutil.copytree(small_results, tmp_path / "a"))
+    record = copy / CELL / "record.json"
+    record.write_bytes(edited(lambda content: content["hashes"].pop("renders/view000.png"))(record.read_bytes()))
+    missing = {item.title: item.missing for item in checklist(copy)}
+    assert missing["all test views are there"] == "tdg on synthetic/turntable, colmap, seed 0"
 
 
 def test_the_commands(small_results, packed, tmp_path):

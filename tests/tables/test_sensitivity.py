@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 from PIL import Image
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from skimage.transform import downscale_local_mean
@@ -17,6 +18,7 @@ from tdgbench.tables.command import main
 from tdgbench.tables.records import read_results
 from tdgbench.tables.sensitivity import sensitivity
 from tests.helpers.records import write
+from tests.scoring.weights import random_state
 
 METRICS = {
     "convention": "3dgs",
@@ -31,12 +33,12 @@ def picture(path, values):
     Image.fromarray(values).save(path)
 
 
-def cell(experiment, method, errors, **extra):
-    """A cell of gray views of 32×24 px, whose render differs by noise of these standard deviations, one per view."""
+def cell(experiment, method, errors, size=(24, 32), **extra):
+    """A cell of gray views (height, width), whose render differs by noise of these deviations, one per view."""
     folder = write(experiment, method, config={"metrics": METRICS | extra})
     rng = np.random.default_rng(0)
     for index, error in enumerate(errors):
-        truth = rng.integers(60, 190, (24, 32))
+        truth = rng.integers(60, 190, size)
         render = truth + rng.normal(0, error, truth.shape)
         picture(folder / "targets" / f"{index}.png", truth.astype(np.uint8))
         picture(folder / "renders" / f"{index}.png", render.round().astype(np.uint8))
@@ -101,6 +103,26 @@ def test_a_network_without_weights_is_na_with_the_reason(tmp_path, monkeypatch):
     cell(tmp_path / "x", "tdg", [2.0])
     row = table_of(tmp_path).loc[("lpips", "network vgg")]
     assert row["mean_change"] == "n/a" and "metrics.lpips.download is false" in row["reason"]
+
+
+def test_a_network_reads_weights_from_a_file(tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path / "empty"))
+    files = {net: tmp_path / f"{net}.pth" for net in ("squeeze", "vgg", "alex")}
+    for net in ("squeeze", "vgg"):
+        torch.save({f"features.{name}": value for name, value in random_state(net).items()}, files[net])
+    cell(tmp_path / "x", "tdg", [2.0], size=(48, 64))  # squeeze, in torch's cache elsewhere
+    words = [f"--weights={net}={path}" for net, path in files.items()]
+    assert main(["sensitivity", str(tmp_path / "x"), *words]) == 0
+    table = pd.read_csv(tmp_path / "x" / "tables" / "sensitivity.csv", keep_default_na=False).set_index("convention")
+    assert abs(float(table.loc["network vgg", "mean_change"])) > 0
+    assert "alex.pth cannot be read as backbone weights" in table.loc["network alex", "reason"]
+
+
+@pytest.mark.parametrize("words", ["resnet=a.npz", "vgg", "vgg="])
+def test_weights_are_of_a_network_of_lpips(words, capsys):
+    with pytest.raises(SystemExit):
+        main(["sensitivity", "results/x", "--weights", words])
+    assert "not NET=FILE with a network of vgg, alex, squeeze" in capsys.readouterr().err
 
 
 def test_masked_pixels_count_in_no_convention(tmp_path):

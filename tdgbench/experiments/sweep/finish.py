@@ -25,7 +25,7 @@ def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     """
     problem, findings = None, list[str]()
     try:
-        findings = _write_all(Path(cfg.results) / cfg.name)
+        findings = write_all(Path(cfg.results) / cfg.name)
     except Exception as error:  # the summary still has to come
         problem = f"{type(error).__name__}: {error}"
     say(count_outcomes(outcomes))
@@ -62,7 +62,7 @@ def _cells(count: int) -> str:
     return f"{count} {'cell' if count == 1 else 'cells'}"
 
 
-def _write_all(experiment: Path) -> list[str]:
+def write_all(experiment: Path) -> list[str]:
     """Write and print tables, pictures and report of all cells on disk; return the findings in sentences."""
     tables = build_tables(experiment)
     show_tables(tables, console())

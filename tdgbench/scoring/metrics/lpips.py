@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tdgbench.scoring.metric import ImageMetric
+from tdgbench.scoring.metric import LPIPS_OPTIONS, ImageMetric
 
 METRIC = ImageMetric(
     name="lpips",
@@ -12,5 +12,6 @@ METRIC = ImageMetric(
     in_main_table=True,
     of_every_modality=True,
     needs="a backbone's weights",
+    options=LPIPS_OPTIONS,
     of_images=lambda pair: pair.convention.lpips(pair.image, pair.target),
 )

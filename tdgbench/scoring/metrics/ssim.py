@@ -68,5 +68,6 @@ METRIC = ImageMetric(
     in_main_table=True,
     of_every_modality=True,
     on_training_views=True,
+    options=("ssim_border",),
     of_images=lambda pair: ssim(pair.image, pair.target, pair.convention.ssim_border, pair.valid),
 )

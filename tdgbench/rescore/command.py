@@ -1,0 +1,112 @@
+"""`tdgbench score DIR OUT [metrics=CHOICE metrics.OPTION=VALUE ...]`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+
+from tdgbench.bench.key import as_json, relevant_metrics
+from tdgbench.bench.lock import cell_lock
+from tdgbench.bench.metric_settings import metric_settings, scorer_of
+from tdgbench.bench.options import check_options
+from tdgbench.bench.paths import cell_folder_of
+from tdgbench.bench.plan import read_plan
+from tdgbench.bench.record import Record, read_each
+from tdgbench.experiments.sweep.finish import write_all
+from tdgbench.packs import opened_pack
+from tdgbench.rescore.cell import score_cell
+from tdgbench.resources import conf_folder
+from tdgbench.scoring import Scorer
+from tdgbench.tables.show import show_findings
+from tdgbench.terminal import say
+from tdgbench.text import one_line
+
+
+def main(arguments: list[str]) -> int:
+    """Run the tool; return the exit status: 1 if a cell could not be scored, or nothing could be."""
+    parser = argparse.ArgumentParser(
+        prog="tdgbench score", description="Score the stored renders of finished cells by another protocol, without "
+        "training. Without options, each cell keeps its protocol, and gets the metrics that it lacks.",
+    )  # fmt: skip
+    parser.add_argument(
+        "experiment", type=Path, metavar="DIR", help="folder results/<experiment>, or a pack; it stays as it is"
+    )
+    parser.add_argument("out", type=Path, metavar="OUT", help="results folder of the scores: new, or of an earlier run")
+    parser.add_argument("options", nargs="*", metavar="OPTION", help="metrics=CHOICE, metrics.OPTION=VALUE")
+    given = parser.parse_args(arguments)
+    try:
+        with opened_pack(given.experiment) as experiment:
+            failed = score_experiment(experiment, given.out, given.options)
+        show_findings(write_all(given.out))
+    except (ValueError, OSError) as error:
+        say(one_line(f"tdgbench score: {error}"), stderr=True)
+        return 1
+    return int(failed)
+
+
+class Chosen(NamedTuple):
+    """Options of `metrics` as records keep them, and whether LPIPS may download a missing backbone."""
+
+    metrics: dict[str, Any]
+    download: bool = True
+
+
+def score_experiment(experiment: Path, out: Path, words: list[str]) -> bool:
+    """Score the cells of an experiment into another one; return whether one of them could not be scored.
+
+    Raises ValueError for a folder without finished cells, and for words that are no options of `metrics`.
+    """
+    chosen = read_options(words) if words else None
+    cells = read_each(experiment)
+    if not any(record.failure is None for _, record in cells):
+        raise ValueError(f"{experiment} holds no finished cell")
+    if out.resolve() == experiment.resolve():
+        raise ValueError(f"{out} holds the first scores, which are kept; name another folder")
+    scorers: dict[str, Scorer] = {}  # each loads LPIPS's network once for all cells
+    read_plan(experiment).write(out)
+    failed = False
+    for folder, record in cells:
+        target, record.experiment = cell_folder_of(out, record), out.resolve().name
+        try:
+            with cell_lock(out, target) as is_held:
+                if not is_held:
+                    raise ValueError("another process works on it")
+                outcome = _score(folder, record, target, chosen, scorers)
+        except (ValueError, OSError) as error:
+            failed, outcome = True, f"not scored: {error}"
+        say(one_line(f"{record.title}: {outcome}"))
+    return failed
+
+
+def _score(folder: Path, record: Record, target: Path, chosen: Chosen | None, scorers: dict[str, Scorer]) -> str:
+    """Score a cell, or hand the record of a failed one on; return what was done, in words."""
+    if record.failure is not None:
+        target.mkdir(parents=True, exist_ok=True)
+        record.write(target)
+        return record.why_failed
+    metrics, download = chosen or Chosen(record.setting("metrics"))
+    settings = metric_settings(metrics)
+    scorer = scorers.setdefault(json.dumps(metrics, sort_keys=True), scorer_of(settings, download))
+    computed = score_cell(folder, record, target, scorer, metrics)
+    return f"{', '.join(computed)} computed" if computed else "already there"
+
+
+def read_options(words: list[str]) -> Chosen:
+    """Return the options of `metrics` that a training has with these words. Raises ValueError for other options."""
+    for word in words:
+        if not word.startswith(("metrics=", "metrics.")):
+            raise ValueError(f"{word} decides what is read or trained, which takes a training; only metrics=CHOICE and "
+                             "metrics.OPTION=VALUE can be chosen here")  # fmt: skip
+    try:
+        with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+            cfg = compose("config", overrides=words)
+    except HydraException as error:
+        raise ValueError(str(error)) from error
+    check_options(cfg)
+    return Chosen(relevant_metrics(as_json(OmegaConf.to_container(cfg.metrics))), cfg.metrics.lpips.download)

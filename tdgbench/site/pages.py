@@ -1,0 +1,154 @@
+"""The pages: index, scenes, methods, packs. Links are relative, so that they work from disk and on any host."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from tdgbench.bench.key import flat
+from tdgbench.bench.protocol import protocol_settings
+from tdgbench.files import whole_folder
+from tdgbench.packs.manifest import SHOWN
+from tdgbench.report.page import environment, environments
+from tdgbench.report.scores import legend
+from tdgbench.report.views import ERROR_RANGE
+from tdgbench.resources import conf_folder
+from tdgbench.site.packed import Pack, Row, method_page, rows_of, scene_page
+from tdgbench.site.pictures import cards_of, files_of_cards
+from tdgbench.site.plot import plot
+from tdgbench.tables import methods
+from tdgbench.tables.cell import Cell
+from tdgbench.tables.claims import check_all, load_claims
+from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
+from tdgbench.tables.measures import COLUMNS, MEASURES
+from tdgbench.tables.published import published_ablation, published_main
+
+HEADS = [MEASURES[name].title for name in COLUMNS]
+
+
+def write_site(packs: Sequence[Pack], folder: Path) -> int:
+    """Write the pages of packs into a new folder, whole or not at all; return their number.
+
+    Raises FileExistsError if the folder is there, and ValueError without a finished cell.
+    """
+    if folder.exists():
+        raise FileExistsError(f"{folder} is there already; remove it, or name a new folder")
+    rows = [row for pack in packs for row in rows_of(pack)]
+    if not rows:
+        raise ValueError("the packs hold no finished cell")
+    site = _Site(packs, rows)
+    with whole_folder(folder) as part:
+        for place, content in sorted(site.files().items()):
+            path = part / place
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+    return site.pages
+
+
+class _Site:
+    """The files of a site, made from packs and rows of their leaderboards."""
+
+    def __init__(self, packs: Sequence[Pack], rows: Sequence[Row]) -> None:
+        self.packs, self.rows, self.pages = packs, rows, 0
+        self.environment = environment("tdgbench.site")
+        self.environment.filters["link"] = quote
+        self.environment.globals.update(
+            heads=HEADS,
+            label=methods.label,
+            scene_page=scene_page,
+            method_page=method_page,
+            shown=SHOWN,
+            psnr=MEASURES["psnr"],
+        )
+
+    def files(self) -> dict[str, bytes]:
+        """Return the content of every file by its place."""
+        files = {"index.html": self._page("index.html.j2", "", boards=boards_of(self.rows), packs=self.packs,
+                                          legend=legend(self.packs[0].tables))}  # fmt: skip
+        for name in ("site.css", "site.js"):
+            files[name] = self.environment.get_template(f"{name}.j2").render().encode()
+        for dataset, scene in sorted({(row.dataset, row.scene) for row in self.rows if not row.is_average}):
+            files |= self._scene(dataset, scene)
+        names = sorted({row.method for row in self.rows})
+        claims = _claims(self.packs, names)
+        for name in names:
+            rows = [row for row in self.rows if row.method == name]
+            files[method_page(name)] = self._page(
+                "method.html.j2", "../", name=name, reading=reading_of(name, self.packs), claims=claims[name],
+                boards=boards_of(rows),
+            )  # fmt: skip
+        for pack in self.packs:
+            files[pack.page] = self._page(
+                "pack.html.j2", "../", pack=pack, environments=environments(pack.tables.records),
+                notes=_notes(pack.cells), failures=[r for r in pack.tables.records if r.failure is not None],
+                boards=boards_of([row for row in self.rows if row.pack is pack]),
+            )  # fmt: skip
+        return files
+
+    def _scene(self, dataset: str, scene: str) -> dict[str, bytes]:
+        """Return a scene's page and its pictures."""
+        sections = cards_of(self.packs, dataset, scene)
+        files = files_of_cards([card for section in sections for card in section])
+        rows = [row for row in self.rows if (row.dataset, row.scene) == (dataset, scene)]
+        page = self._page("scene.html.j2", "../../", dataset=dataset, scene=scene, sections=sections,
+                          boards=boards_of(rows), error_range=ERROR_RANGE)  # fmt: skip
+        return {scene_page(dataset, scene): page, **files}
+
+    def _page(self, template: str, root: str, **content: Any) -> bytes:
+        """Return a page; messages about files name their place in the pack."""
+        self.pages += 1
+        text = self.environment.get_template(template).render(root=root, **content)
+        for pack in self.packs:
+            text = text.replace(f"{pack.tables.folder.parent}/", "")
+        return text.encode()
+
+
+def boards_of(rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """Return the leaderboards of rows, one for each protocol and data set: settings, rows, plot of the averages."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.dataset, row.protocol), []).append(row)
+    boards = []
+    for (dataset, protocol), group in sorted(groups.items()):
+        group.sort(key=lambda row: (not row.is_average, row.scene, methods.rank(row.column), row.pack.page))
+        averages = [row for row in group if row.is_average]
+        example = next(cell.record for cell in group[0].pack.cells if cell.record.dataset == dataset)
+        settings = {name: json.dumps(value) for name, value in protocol_settings(example.config).items()}
+        boards.append({
+            "dataset": dataset, "protocol": protocol, "rows": group, "settings": settings,
+            "plot": plot(averages or group),
+        })  # fmt: skip
+    return boards
+
+
+def reading_of(method: str, packs: Sequence[Pack]) -> str:
+    """Return what was read from paper and code: the method's file, or without it, its options in a record."""
+    path = conf_folder() / "method" / f"{method}.yaml"
+    if path.name == f"{method}.yaml" and path.is_file():
+        return path.read_text(encoding="utf-8")
+    record = next(cell.record for pack in packs for cell in pack.cells if cell.record.method == method)
+    options = record.setting("method.method")
+    named = flat(options) if isinstance(options, dict) else {}
+    return "\n".join(f"{name}: {json.dumps(value)}" for name, value in named.items())
+
+
+def _claims(packs: Sequence[Pack], names: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
+    """Return the claims that name each method, with verdicts on the published numbers and on those of all packs."""
+    published = ClaimEvidence(published_main(), published_ablation(), printed=True)
+    claims = load_claims()
+    judged = check_all(claims, published, evidence_of([pack.tables.folder.parent for pack in packs])).to_dict("records")
+    pair = [*methods.paper_pair()]
+    named = [{*claim.get("methods", pair), *claim.get("against", ())} for claim in claims]
+    return {name: [row for row, of in zip(judged, named, strict=True) if name in of] for name in names}
+
+
+def _notes(cells: Sequence[Cell]) -> dict[str, list[str]]:
+    """Return the titles of cells by note."""
+    notes: dict[str, list[str]] = {}
+    for cell in cells:
+        for note in cell.record.notes:
+            notes.setdefault(note, []).append(cell.record.title)
+    return notes

@@ -1,0 +1,101 @@
+"""Pictures of a scene's page: of every method, as PNG files of such a size that the page has at most a megabyte."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from PIL import Image
+
+from tdgbench.bench import colours
+from tdgbench.bench.protocol import protocol_settings
+from tdgbench.bench.renders import stored_view
+from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view
+from tdgbench.site.packed import Pack
+from tdgbench.tables.cell import Cell
+from tdgbench.tables.long_table import method_label
+
+MOST_BYTES = 800_000  # of a page's pictures
+WIDTHS = (640, 480, 400, 320, 240, 160, 120, 80, 48)  # px; the largest that fits is taken
+FOLDER = "pictures"
+
+
+@dataclass
+class Card:
+    """A method's cell, the packs that hold these renders, and its pictures, (H, W, 3) uint8 by what they show."""
+
+    column: str
+    cell: Cell
+    packs: list[Pack]
+    view: str = ""
+    problem: str = ""  # why it has no pictures
+    pictures: dict[str, np.ndarray] = field(default_factory=dict)  # truth, render, error
+    files: dict[str, str] = field(default_factory=dict)  # places of their files
+
+
+def cards_of(packs: Sequence[Pack], dataset: str, scene: str) -> list[list[Card]]:
+    """Return the cards of a scene: a list for each set of equal test views, in it each method's first seed.
+
+    Equal renders, as those that were scored again, have one card.
+    """
+    sections: dict[str, dict[str, Card]] = {}
+    for pack in packs:
+        columns: set[tuple[str, str]] = set()
+        for cell in pack.cells:
+            column, views = method_label(cell.record, with_init=True), _test_views(cell)
+            if cell.dataset_and_scene == (dataset, scene) and (column, views) not in columns:
+                columns.add((column, views))
+                same = json.dumps(
+                    [column, [h for n, h in sorted(cell.record.hashes.items()) if n.startswith("renders/")]]
+                )
+                card = sections.setdefault(views, {}).setdefault(same, Card(column, cell, []))
+                card.packs.append(pack)
+    for section in sections.values():
+        view = middle_view(card.cell.folder for card in section.values())
+        for card in section.values():
+            _draw(card, view)
+    return [[*section.values()] for section in sections.values()]
+
+
+def _test_views(cell: Cell) -> str:
+    """Return what decides the pictures of a cell's test views, whatever its metrics."""
+    settings = protocol_settings(cell.record.config)
+    return json.dumps([cell.record.data, {n: v for n, v in settings.items() if n.startswith("data.")}], sort_keys=True)
+
+
+def _draw(card: Card, view: str) -> None:
+    card.view = view
+    try:
+        stored = stored_view(card.cell.folder, view)
+    except (OSError, ValueError) as error:
+        card.problem = str(error)
+        return
+    truth, render = (grayed(colours.in_colour(pixels), stored.valid) for pixels in (stored.truth, stored.render))
+    card.pictures = {"truth": truth, "render": render, "error": colours.colored(stored.error, ERROR, 0, ERROR_RANGE)}
+
+
+def files_of_cards(cards: Sequence[Card]) -> dict[str, bytes]:
+    """Return the picture files of a page by their place, and name them in the cards. Equal pictures are one file."""
+    for width in WIDTHS:
+        files: dict[str, bytes] = {}
+        for card in cards:
+            for name, pixels in card.pictures.items():
+                content = _png(pixels, width)
+                card.files[name] = f"{FOLDER}/{hashlib.sha256(content).hexdigest()[:16]}.png"
+                files[card.files[name]] = content
+        if sum(map(len, files.values())) <= MOST_BYTES:
+            break
+    return files
+
+
+def _png(pixels: np.ndarray, width: int) -> bytes:
+    """Return a picture of at most so many px in width as a PNG file."""
+    picture, buffer = Image.fromarray(pixels), io.BytesIO()
+    if picture.width > width:
+        picture = picture.resize((width, max(1, round(picture.height * width / picture.width))), Image.Resampling.BOX)
+    picture.save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()

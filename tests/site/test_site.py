@@ -1,0 +1,234 @@
+"""`tdgbench site`: links resolve, numbers are the records', names are text, equal packs give equal bytes."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tdgbench.bench.record import read_all
+from tdgbench.bench.stored import hashes
+from tdgbench.packs import pack
+from tdgbench.site import main
+from tdgbench.tables.long_table import metric_value
+from tdgbench.tables.measures import COLUMNS, as_text
+from tdgbench.tables.published import published_main
+from tests.helpers.browser import CHROMIUM, opened
+from tests.helpers.records import published_as_records, write, write_record
+from tests.helpers.records import record as record_of
+
+MEGABYTE = 2**20
+ODD = """<script>alert("1")</script> & 'it' #?%"""
+
+
+class Page(HTMLParser):
+    """What a page links to, the ids in it, and the text of its tables' cells."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.ids: list[str] = []
+        self.tables: list[list[list[str]]] = []
+        self.scripts = 0
+        self._cell: list[str] | None = None
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        found = dict(attributes)
+        self.links += [found[name] for name in ("href", "src") if found.get(name)]
+        self.ids += [found["id"]] if "id" in found else []
+        self.scripts += tag == "script"
+        if tag == "table":
+            self.tables.append([])
+        elif tag == "tr":
+            self.tables[-1].append([])
+        elif tag in ("td", "th"):
+            self._cell = []
+
+    def handle_endtag(self, tag):
+        if tag in ("td", "th"):
+            self.tables[-1][-1].append(" ".join("".join(self._cell).split()))
+            self._cell = None
+
+    def handle_data(self, data):
+        if self._cell is not None:
+            self._cell.append(data)
+
+
+def pages(site: Path) -> dict[Path, Page]:
+    return {path: Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
+
+
+def make(folder: Path, *packs: Path) -> Path:
+    assert main([*map(str, packs), str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def packed(small_results, tmp_path_factory) -> Path:
+    return pack(small_results, tmp_path_factory.mktemp("packs") / "small.zip", keep_paths=True)[0]
+
+
+@pytest.fixture(scope="module")
+def odd(tmp_path_factory) -> Path:
+    """Cells whose scene, data set, method and note are markup."""
+    folder = tmp_path_factory.mktemp("odd") / "odd"
+    for scene in (ODD, "other"):
+        write(folder, f"mine {ODD}", scene, dataset=ODD, notes=[ODD], config={"method": {"method": {"a": ODD}}})
+    return pack(folder, folder.with_name("odd&.zip"), keep_paths=True)[0]
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory) -> Path:
+    """The published table as records of three seeds."""
+    folder = tmp_path_factory.mktemp("published") / "table1"
+    for seed in range(3):
+        published_as_records(folder, seed)
+    return pack(folder)[0]
+
+
+@pytest.fixture(scope="module")
+def site(packed, odd, published, tmp_path_factory) -> Path:
+    return make(tmp_path_factory.mktemp("sites") / "site", packed, odd, published)
+
+
+def test_all_links_resolve(site):
+    found = pages(site)
+    assert len(found) > 20
+    for path, page in found.items():
+        for link in page.links:
+            name, _, anchor = link.partition("#")
+            if link.startswith("data:"):
+                continue
+            target = (path.parent / unquote(name)).resolve() if name else path
+            assert target.is_file() and target.is_relative_to(site.resolve()), (path.name, link)
+            assert not anchor or anchor in found[target].ids
+    linked = {(p.parent / unquote(n.partition("#")[0])).resolve() for p, page in found.items() for n in page.links}
+    assert {path.resolve() for path in site.rglob("*") if path.is_file()} <= linked
+
+
+def rows_of_index(site: Path) -> list[list[str]]:
+    """Rows of the leaderboards: method, scene, a number of each of COLUMNS, seeds, pack."""
+    index = Page((site / "index.html").read_text(encoding="utf-8"))
+    return [row for table in index.tables if table[0][0] == "method" for row in table[1:]]
+
+
+def test_every_number_is_that_of_the_records(small_results, packed, tmp_path):
+    records = [record for record in read_all(small_results) if record.failure is None]
+    labels = {"tdg": "TDg", "msmg": "MSMG"}
+    rows = {(row[0], row[1]): row[2:] for row in rows_of_index(make(tmp_path / "site", packed))}
+    for record in records:
+        *numbers, seeds, name = rows.pop((labels[record.method], record.scene))
+        values = [metric_value(record, metric)[0] for metric in COLUMNS]
+        expected = ["n/a" if np.isnan(v) else as_text(m, v) for m, v in zip(COLUMNS, values, strict=True)]
+        assert (numbers, seeds, name) == (expected, "1", "small.zip")
+    assert rows == {}  # no mean, as one scene has failed
+
+
+def test_published_numbers_and_verdicts_stand_beside(site):
+    rows = [row for row in rows_of_index(site) if row[:2] == ["TDg", "Truck"]]
+    table = published_main().set_index(["method", "scene", "metric"])["value"]
+    text = as_text("psnr", float(table["tdg", "Truck", "psnr"]))
+    assert [row[2] for row in rows] == [f"{text} ± 0.00 published {text}, reproduced"]
+    assert rows[0][-2] == "3"
+    of_thermalmix = published_main().query("method == 'tdg' and dataset == 'ThermalMix' and metric == 'psnr'")
+    mean = of_thermalmix[~of_thermalmix["scene"].str.contains("Average")]["value"].mean()
+    means = [row[2] for row in rows_of_index(site) if row[:2] == ["TDg", "mean of the scenes"]]
+    assert f"{as_text('psnr', mean)} ± 0.00" in [" ".join(text.split()[:3]) for text in means]
+
+
+def test_names_are_text(site):
+    found = pages(site)
+    assert all(page.scripts == 1 for page in found.values())
+    texts = [cell for page in found.values() for table in page.tables for row in table for cell in row]
+    assert any(ODD in text for text in texts)
+    assert not [path for path in found if "<script>alert" in path.read_text(encoding="utf-8")]
+
+
+def test_equal_packs_give_equal_bytes(site, packed, odd, published, tmp_path):
+    again = make(tmp_path / "again", published, odd, packed, packed)
+    files = {path.relative_to(site): path.read_bytes() for path in site.rglob("*") if path.is_file()}
+    assert {path.relative_to(again): path.read_bytes() for path in again.rglob("*") if path.is_file()} == files
+
+
+def weight(path: Path, page: Page) -> int:
+    files = {(path.parent / unquote(link.partition("#")[0])).resolve() for link in page.links}
+    return path.stat().st_size + sum(f.stat().st_size for f in files if f.suffix in (".png", ".css", ".js"))
+
+
+def test_a_page_of_many_methods_has_at_most_a_megabyte(tmp_path):
+    rng = np.random.default_rng(0)
+    for index in range(12):
+        folder = write(tmp_path / "many", f"method{index}", scene="noise", dataset="mine", config={"a": index})
+        for sub in ("renders", "targets"):
+            (folder / sub).mkdir()
+            Image.fromarray(rng.integers(0, 255, (480, 640), np.uint8)).save(folder / sub / "view.png")
+        record = next(r for r in read_all(tmp_path / "many") if r.method == f"method{index}")
+        record.hashes = hashes(folder)
+        record.write(folder)
+    made = make(tmp_path / "site", pack(tmp_path / "many")[0])
+    weights = {path.name: weight(path, page) for path, page in pages(made).items()}
+    assert MEGABYTE / 10 < weights["noise.html"] < MEGABYTE and max(weights.values()) < MEGABYTE
+
+
+def test_pictures_that_cannot_be_read_are_na(site):
+    page = next(path for path in site.rglob("Truck.html"))
+    assert "n/a: " in page.read_text(encoding="utf-8")
+
+
+def test_failures_and_the_checklist_are_on_the_page_of_a_pack(site):
+    text = next(p for p in (site / "packs").glob("*.html") if "small.zip" in p.read_text()).read_text(encoding="utf-8")
+    assert "failed in load" in text and "3 seeds of each cell" in text and "tdgbench verify small.zip" in text
+
+
+def test_the_page_of_a_method_has_its_reading_and_claims(site):
+    text = (site / "methods" / "tdg.html").read_text(encoding="utf-8")
+    assert "smoothness_reading: written" in text and "PSNR of TDg is 0.01 % better" in text
+
+
+def test_refusals(packed, small_results, tmp_path, capsys):
+    (tmp_path / "there").mkdir()
+    for words, why in (
+        ([packed, tmp_path / "there"], "is there already"),
+        ([small_results, tmp_path / "x"], "is no file; make one of a results folder with tdgbench pack"),
+        ([tmp_path / "none.zip", tmp_path / "x"], "is no file"),
+    ):
+        assert main([str(word) for word in words]) == 1
+        assert why in capsys.readouterr().err and not (tmp_path / "x").exists()
+    folder = write_record(tmp_path / "failed", record_of(), {"seconds": {"train": 1.0}}).parents[5]
+    path, _ = pack(folder)
+    path.write_bytes(path.read_bytes()[:-9])
+    assert main([str(path), str(tmp_path / "x")]) == 1 and "is no pack" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_in_a_browser_from_disk(site, tmp_path):
+    pytest.importorskip("websockets")
+    shown = "[...document.querySelectorAll('table.board tbody tr')].filter(row => !row.hidden).length"
+    with opened((site / "index.html").as_uri(), tmp_path) as page:
+        page.wait_for("document.readyState === 'complete' && !!document.querySelector('th[tabindex]')")
+        whole = page.run(shown)
+        page.run("search.value = 'truck'; search.dispatchEvent(new Event('input'))")
+        assert page.run(shown) == 2 < whole and page.run("count.textContent").startswith("2 of ")
+        page.run("search.value = ''; averages.click()")
+        assert page.run(shown) < whole / 2
+        page.run("document.querySelector('table.board th:nth-child(3)').focus()")
+        for kind in ("keyDown", "keyUp"):
+            page.call(
+                "Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13, text="\r"
+            )
+        assert page.run("document.activeElement.getAttribute('aria-sort')") == "ascending"
+        scene = next(path for path in (site / "scenes" / "synthetic").glob("*.html"))
+        page.call("Page.navigate", url=scene.as_uri())
+        page.wait_for("!!document.querySelector('.slider .over')?.style.clipPath")
+        page.run("document.querySelector('.slider input').focus()")
+        before = page.run("document.querySelector('.slider .over').style.clipPath")
+        for kind in ("keyDown", "keyUp"):
+            page.call("Input.dispatchKeyEvent", type=kind, key="ArrowRight", windowsVirtualKeyCode=39)
+        assert page.run("document.querySelector('.slider .over').style.clipPath") != before
+        page.call("Emulation.setDeviceMetricsOverride", width=400, height=800, deviceScaleFactor=1, mobile=False)
+        assert page.run("document.documentElement.scrollWidth") <= 400
