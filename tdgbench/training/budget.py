@@ -41,10 +41,11 @@ class SettlingRule:
     """End a training when the PSNR of training views that it does not train on (held out) no longer rises.
 
     Every `every` iterations the held-out views are rendered: a check. The training stalls once a window of checks, a
-    share of those at the current resolution, gains less than `gain` on the window before. Below the full resolution it
-    then goes on to the next one. At the full resolution, or after two resolutions in a row without a new best, it
-    settles at the best: the held-out views are trained on as well, no Gaussians are added, and all learning rates fall
-    log-linearly for `tail`. A training that never stalls settles that long before its last iteration.
+    share of those at the current resolution, gains less than `gain` on the window before; at the full resolution, less
+    by the gain's standard error, so that noise hides no gain. Below the full resolution it then goes on to the next
+    one. At the full resolution, or after two resolutions in a row without a new best, it settles at the best: the
+    held-out views are trained on as well, no Gaussians are added, and all learning rates fall log-linearly for `tail`.
+    A training that never stalls settles that long before its last iteration.
     """
 
     share: Annotated[float, Field(gt=0, le=0.25)]  # of the training views, which is held out

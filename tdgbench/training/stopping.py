@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -29,16 +30,23 @@ def spread(views: list[View], count: int) -> list[View]:
     return [views[int((i + 0.5) * len(views) / count)] for i in range(count)]
 
 
-def windows(rule: SettlingRule, psnrs: list[list[float]], fewest: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the PSNR (V,) of V views in the last window, of `fewest` checks or more, and in the one before.
+class LastWindow(NamedTuple):
+    """The last window of checks, compared with the one before it."""
 
-    None while there are too few checks.
-    """
+    psnrs: np.ndarray  # (V,) of its views, dB
+    gain: float  # on the window before, mean over views, dB
+    standard_error: float  # of the gain, from the spread of the checks in both windows, dB
+
+
+def last_window(rule: SettlingRule, psnrs: list[list[float]], fewest: int) -> LastWindow | None:
+    """Return the last window, of `fewest` checks or more; None while there are too few checks."""
     size = max(fewest, math.ceil(rule.window * len(psnrs)))
     if len(psnrs) < 2 * size:
         return None
-    values = np.array(psnrs)
-    return values[-size:].mean(axis=0), values[-2 * size : -size].mean(axis=0)
+    last, before = np.array(psnrs[-size:]), np.array(psnrs[-2 * size : -size])
+    gain = float(last.mean() - before.mean())
+    spread_of = [float(np.var(window.mean(axis=1), ddof=1)) if size > 1 else 0.0 for window in (last, before)]
+    return LastWindow(last.mean(axis=0), gain, math.sqrt(sum(spread_of) / size))
 
 
 def psnr_of_error(error: np.ndarray) -> float:
@@ -103,13 +111,14 @@ class Settling(Stopping):
         if curriculum.scale != self._scale:  # by the schedule
             self._leave_resolution()
         self._psnrs.append(self._held_out_psnrs())
-        last_two = windows(rule, self._psnrs, rule.last_checks if curriculum.is_at_full_resolution else rule.checks)
-        if last_two is None or float(np.mean(last_two[0] - last_two[1])) >= rule.gain:
+        is_full = curriculum.is_at_full_resolution
+        last = last_window(rule, self._psnrs, rule.last_checks if is_full else rule.checks)
+        if last is None or last.gain + is_full * last.standard_error >= rule.gain:
             return None
-        is_last = curriculum.is_at_full_resolution or self._no_better >= IN_A_ROW - 1
-        if is_last and not self._is_best(last_two[0]):
+        is_last = is_full or self._no_better >= IN_A_ROW - 1
+        if is_last and not self._is_best(last.psnrs):
             return self._best_scale
-        if curriculum.is_at_full_resolution:
+        if is_full:
             return curriculum.scale
         curriculum.advance()
         self._leave_resolution()

@@ -87,6 +87,18 @@ def test_the_mean_over_held_out_views_decides_as_for_test_views():
     assert end_of(Scripted(lambda i, scale: [20.0 - i, 20.0 + i / 100, 20.0 + i / 100], **views)) == 40 + 20
 
 
+def test_noise_hides_no_gain_at_the_full_resolution():
+    """Checks that scatter by ±1 dB: gains of 0.05 dB a check are below the threshold, and not known to be."""
+
+    def noisy(i, scale):
+        return 0.005 * i + (-1) ** (i // 10)
+
+    rule = replace(RULE, last_checks=4, window=0.01, gain=0.5)
+    assert end_of(Scripted(lambda i, scale: 0.005 * i, rule=rule)) == 80 + 40
+    assert end_of(Scripted(noisy, iterations=300, rule=rule)) == 300
+    assert end_of(Scripted(lambda i, scale: noisy(i, 1) / scale, steps=[(400, 2)], rule=rule), 60) is None
+
+
 def test_windows_are_longer_at_the_full_resolution():
     rule = replace(RULE, last_checks=3)
     stalls = Scripted(lambda i, scale: 10.0 / scale, steps=[(400, 2)], rule=rule)
