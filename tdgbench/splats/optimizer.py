@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.state import TrainingState
-from tdgbench.splats.transfer import sent
+from tdgbench.splats.transfer import received, sent
 from tdgbench.splats.warp import fuses
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15  # 3DGS
@@ -117,11 +117,11 @@ class Adam:
         iteration: int,
         without: Sequence[str] = (),
         statistics: GradientStatistics = NO_STATISTICS,
-    ) -> str | None:
+    ) -> Callable[[], str | None] | str | None:
         """Take one step at an iteration (1-based); for the parameters `without` it is as if their `.grad` were None.
 
         Pending gradients are computed in the same pass, which adds to `statistics`. Return the name of a parameter
-        whose gradient is not finite, or None.
+        whose gradient is not finite, or None; of Gaussians on a GPU, what waits for the step and returns this.
         """
         state = self.state
         for name in without:
@@ -234,19 +234,25 @@ class Adam:
         }[rate]
 
     @torch.no_grad()
-    def _step_all(self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray) -> str | None:
+    def _step_all(
+        self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray
+    ) -> Callable[[], str | None] | str | None:
         """Step every row by its gradient (N, columns); return what `step` does."""
         values, first, second = rows = (self.state.values, self.state.first, self.state.second)
         columns = sent(torch.from_numpy(np.stack([step_sizes, bias2_sqrt])), values)
         if fuses(values):
             from tdgbench.splats.warp.adam import step_all
 
-            bad = step_all(grad, columns, rows, (BETA1, BETA2), EPS).numpy(force=True)
-            return self._first_marked(bad) if bad.any() else None
-        sizes, bias = columns
-        first.lerp_(grad, 1 - BETA1)
-        second.mul_(BETA2).addcmul_(grad, grad, value=1 - BETA2)
-        values.sub_(sizes * first / (second.sqrt() / bias + EPS))
-        if torch.isfinite(grad.sum()):  # one pass in the usual case
-            return None
-        return self._first_marked((~torch.isfinite(grad)).any(dim=0).numpy(force=True))
+            bad = step_all(grad, columns, rows, (BETA1, BETA2), EPS)
+        else:
+            sizes, bias = columns
+            first.lerp_(grad, 1 - BETA1)
+            second.mul_(BETA2).addcmul_(grad, grad, value=1 - BETA2)
+            values.sub_(sizes * first / (second.sqrt() / bias + EPS))
+            if grad.device.type == "cpu" and torch.isfinite(grad.sum()):  # one pass in the usual case
+                return None
+            bad = (~torch.isfinite(grad)).any(dim=0)
+        if bad.device.type == "cpu":
+            return self._first_marked(bad.numpy())
+        flags = received(bad)
+        return lambda: self._first_marked(flags().numpy())

@@ -6,9 +6,13 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import torch
+from torch import Tensor
 
+from tdgbench.splats.transfer import received
 from tdgbench.training.method import Step
 from tdgbench.training.part import NonFiniteError, Part, Stopping, TrainingError
 from tdgbench.training.trainer import Trainer
@@ -57,6 +61,9 @@ def train(
     at its end; the clock is stopped during the last two. log: of earlier iterations, to resume after them. The log of a
     method that does not train is empty.
 
+    On a GPU, loss and gradients are checked after the next step has been rendered (`Pending`), or before a line of the
+    log, a checkpoint, `before_update` and the end of a stage: the host waits for the number of pairs alone.
+
     Raises NonFiniteError at the first loss, gradient or parameter that is not finite, and EmptyModelError when a model
     has no Gaussian.
     """
@@ -64,47 +71,74 @@ def train(
     log.ended = log.ended or not trainer.method.trains
     clock = Clock(log)
     try:
-        while not log.ended:
-            iteration = log.iterations - trainer.iterations_before + 1  # within the stage
-            for part in trainer.parts.values():
-                part.begin(iteration)
-            step = trainer.stage.step(iteration)
-            loss, terms = step.numbers()
-            if not math.isfinite(loss):
-                _check_parameters(trainer.parts, iteration)
-                raise NonFiniteError(iteration, _first_bad(step, terms))
-            ends_stage = _ends(trainer, iteration, terms.get("thermal", loss))
-            log.iterations += 1
-            log.ended = ends_stage and trainer.is_last_stage
-            if before_update is not None:
+        with trainer.pending:
+            while not log.ended:
+                iteration = log.iterations - trainer.iterations_before + 1  # within the stage
+                for part in trainer.parts.values():
+                    part.begin(iteration)
+                step = trainer.stage.step(iteration)
+                if trainer.on_gpu:
+                    trainer.pending.read()
+                    watched = _check_later(step, trainer, iteration)
+                else:
+                    loss, terms = step.numbers()
+                    if not math.isfinite(loss):
+                        _check_parameters(trainer.parts, iteration)
+                        raise NonFiniteError(iteration, _first_bad(step, terms))
+                    watched = terms.get("thermal", loss)
+                ends_stage = _ends(trainer, iteration, watched)
+                log.iterations += 1
+                log.ended = ends_stage and trainer.is_last_stage
+                if before_update is not None:
+                    if trainer.on_gpu:
+                        trainer.pending.read()
+                    clock.write_times()
+                    before_update(log)
+                    clock = Clock(log)
+                if not ends_stage:
+                    _update(step, trainer, iteration)
+                every = max(1, trainer.whole_context.budget.iterations // LOG_LINES)
+                if log.iterations % every == 0 or log.iterations == 1 or ends_stage:
+                    if trainer.on_gpu:
+                        trainer.pending.read()
+                        loss, terms = step.numbers()
+                    _check_parameters(trainer.parts, iteration)
+                    clock.write_times()
+                    line = _line(log, step, loss, terms, trainer)
+                    log.lines.append(line)
+                    if on_log_line is not None:
+                        on_log_line(line)
+                if ends_stage:
+                    trainer.advance(iteration)
                 clock.write_times()
-                before_update(log)
-                clock = Clock(log)
-            if not ends_stage:
-                _update(step, trainer.parts, iteration)
-            every = max(1, trainer.whole_context.budget.iterations // LOG_LINES)
-            if log.iterations % every == 0 or log.iterations == 1 or ends_stage:
-                _check_parameters(trainer.parts, iteration)
-                clock.write_times()
-                line = _line(log, step, loss, terms, trainer)
-                log.lines.append(line)
-                if on_log_line is not None:
-                    on_log_line(line)
-            if ends_stage:
-                trainer.advance(iteration)
-            clock.write_times()
-            if after_iteration is not None:
-                after_iteration(log)
-                clock = Clock(log)
+                if after_iteration is not None:
+                    after_iteration(log)
+                    clock = Clock(log)
     except TrainingError as error:
         error.iteration += trainer.iterations_before  # of the whole training, as in the log
         raise
     return log
 
 
-def _ends(trainer: Trainer, iteration: int, loss: float) -> bool:
-    """Return whether the stage ends with an iteration."""
+def _check_later(step: Step, trainer: Trainer, iteration: int) -> float | Tensor:
+    """Add the check of a loss that is not finite to the pending ones; return the loss that stopping rules watch."""
+    read = received(step.loss)
+
+    def check() -> None:
+        if not math.isfinite(read().item()):
+            raise NonFiniteError(iteration, _first_bad(step, step.numbers()[1]))
+
+    trainer.pending.add(check)
+    watched = step.terms.get("thermal", step.loss)
+    return watched.detach().double() if isinstance(watched, Tensor) else watched
+
+
+def _ends(trainer: Trainer, iteration: int, loss: Any) -> bool:
+    """Return whether the stage ends with an iteration. loss: a number, or a scalar of a GPU."""
     rules = [part for part in (trainer.stopping, *trainer.parts.values()) if isinstance(part, Stopping)]
+    if trainer.on_gpu and any(rule.reads_loss for rule in rules):
+        loss = float(loss)
+        trainer.pending.read()
     reached = [rule.reached(iteration, loss) for rule in rules]  # all of them take the loss
     if iteration >= trainer.context.budget.iterations:
         return True
@@ -133,13 +167,23 @@ class Clock:
         self._log.processor_seconds = time.process_time() - self._processor_start
 
 
-def _update(step: Step, parts: Mapping[str, Part], iteration: int) -> None:
+def _update(step: Step, trainer: Trainer, iteration: int) -> None:
     """Do the backward pass and let every part change by its gradients."""
     step.loss.backward()
-    for name, part in parts.items():
+    for name, part in trainer.parts.items():
         bad = part.step(iteration)
         if bad is not None:
-            raise NonFiniteError(iteration, f"gradient of {name} {bad}")
+            if callable(bad):
+                trainer.pending.add(partial(_check_gradient, bad, name, iteration))
+            else:
+                raise NonFiniteError(iteration, f"gradient of {name} {bad}")
+
+
+def _check_gradient(read: Callable[[], str | None], part: str, iteration: int) -> None:
+    """Raise NonFiniteError if what is read is the name of a parameter of a part."""
+    bad = read()
+    if bad is not None:
+        raise NonFiniteError(iteration, f"gradient of {part} {bad}")
 
 
 @torch.no_grad()

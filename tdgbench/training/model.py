@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 
 import torch
@@ -183,7 +183,7 @@ class SplatModel(Part):
     def scale_learning_rates(self, factor: float) -> None:
         self.optimizer.slowdown = factor
 
-    def step(self, iteration: int) -> str | None:
+    def step(self, iteration: int) -> Callable[[], str | None] | str | None:
         """Do density control, then an Adam step.
 
         Gaussians have no step after a round of density control, and none for opacities after their reset. Adam has

@@ -23,10 +23,11 @@ class Part:
     def begin(self, iteration: int) -> None:
         """Prepare for an iteration (1-based within its stage), before the method's step."""
 
-    def step(self, iteration: int) -> str | None:
+    def step(self, iteration: int) -> Callable[[], str | None] | str | None:
         """Make an optimiser step; called after the backward pass of each iteration.
 
-        Returns the name of a parameter whose gradient is not finite, or None.
+        Returns the name of a parameter whose gradient is not finite, or None; or a function that returns this, which
+        is called after the next step has been rendered: on a GPU, the host need not wait for it.
         """
         return None
 
@@ -58,6 +59,8 @@ class Part:
 
 class Stopping(Part):
     """A rule that may end a training before its last iteration: the budget's, or a part that a method adds."""
+
+    reads_loss: bool = True  # False: on a GPU, `reached` gets the loss as a float64 tensor, for which no host waits
 
     def reached(self, iteration: int, loss: float) -> bool:
         """Take the loss of an iteration, after its forward pass; return whether training may end from here on."""

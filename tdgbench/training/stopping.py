@@ -57,6 +57,8 @@ def psnr_of_error(error: np.ndarray) -> float:
 class Settling(Stopping):
     """Raises the resolution, lowers the learning rates and ends a training, by the PSNR of held-out views."""
 
+    reads_loss = False
+
     def __init__(
         self,
         rule: SettlingRule,
@@ -145,22 +147,26 @@ class Settling(Stopping):
 
 
 class Plateau(Stopping):
-    """Detects a plateau of the loss by a rule."""
+    """Detects a plateau of the loss by a rule. On a GPU, the device adds the losses up; the host reads their sums."""
+
+    reads_loss = False
 
     def __init__(self, rule: PlateauRule, views: int) -> None:
         """views: number of training views."""
         self.rule, self.views = rule, views
-        self._sum, self._count = 0.0, 0
+        self._sum: float | torch.Tensor = 0.0
+        self._count = 0
         self._best, self._without = float("inf"), 0
         self._reached = False
 
     def state_dict(self) -> State:
-        return {name: getattr(self, name) for name in ("_sum", "_count", "_best", "_without", "_reached")}
+        names = ("_count", "_best", "_without", "_reached")
+        return {"_sum": float(self._sum), **{name: getattr(self, name) for name in names}}
 
     def load_state_dict(self, saved: State) -> None:
         vars(self).update(saved)
 
-    def reached(self, iteration: int, loss: float) -> bool:
+    def reached(self, iteration: int, loss: float | torch.Tensor) -> bool:
         if self._reached:
             return True
         if iteration <= self.rule.after:
@@ -168,7 +174,7 @@ class Plateau(Stopping):
         self._sum, self._count = self._sum + loss, self._count + 1
         if self._count < self.rule.epochs * self.views:
             return False
-        mean, self._sum, self._count = self._sum / self._count, 0.0, 0
+        mean, self._sum, self._count = float(self._sum) / self._count, 0.0, 0
         if mean < self._best * (1 - self.rule.gain):
             self._without = 0
         else:

@@ -11,6 +11,7 @@ from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Method, Stage
 from tdgbench.training.model import SplatModel
 from tdgbench.training.part import Part, Report, State, Stopping
+from tdgbench.training.pending import Pending
 from tdgbench.training.rig import Rig
 from tdgbench.training.stopping import Plateau, Settling
 
@@ -28,6 +29,7 @@ class Trainer:
         self.stages = self.method.stages()
         whole = self.whole_context
         self._rig = Rig(whole.scene.extent, whole.device) if whole.learns_rig else None
+        self.on_gpu, self.pending = whole.device.type != "cpu", Pending()
         self.stage_number, self.iterations_before = 0, 0
         self.contexts: list[Context] = []  # of the stages so far
         self._finished: list[tuple[str, str, Part]] = []  # stage, name and part
@@ -83,7 +85,11 @@ class Trainer:
         self._finished += [(name, n, part) for n, part in done.items() if id(part) not in current]
 
     def state_dict(self) -> State:
-        """Return the states of all parts, for `torch.save`; tensors are not copied."""
+        """Return the states of all parts, for `torch.save`; tensors are not copied.
+
+        Raises NonFiniteError if the last step was made with what is not finite.
+        """
+        self.pending.read()
         parts = {name: part.state_dict() for name, part in self.all_parts().items()}
         return {"stage": self.stage_number, "before": self.iterations_before, "parts": parts}
 

@@ -60,11 +60,19 @@ class Costs(TorchDispatchMode):
     def __init__(self) -> None:
         super().__init__()
         self.pinned: set[int] = set()
+        self.waits = Counter[str]()
+        self.waits_before = 0  # the last `clear`
         self.clear()
 
+    @property
+    def all_waits(self) -> int:
+        """Number of waits so far; at each, the device has finished all that it was asked for."""
+        return self.waits_before + self.waits.total()
+
     def clear(self) -> None:
+        self.waits_before = self.all_waits
         self.launches, self.to_device, self.to_host = 0, 0, 0
-        self.waits: Counter[str] = Counter()
+        self.waits = Counter[str]()
 
     def read(self) -> dict:
         """Return the counts since the last call."""
@@ -94,7 +102,8 @@ class Costs(TorchDispatchMode):
     def _count(self, name: str, given: list[torch.Tensor], stays: bool, kwargs: dict) -> None:
         from_host = [t for t in given if not isinstance(t, OnDevice) and t.dim()]
         if name in ("_to_copy", "copy_") and (from_host or not stays):
-            waits = not (stays and kwargs.get("non_blocking") and from_host[0].data_ptr() in self.pinned)
+            # torch pins the memory to which it copies from a device without a wait
+            waits = not kwargs.get("non_blocking") or (stays and from_host[0].data_ptr() not in self.pinned)
             self.to_device, self.to_host = self.to_device + stays, self.to_host + (not stays)
             self.waits[f"{name} {'to the device' if stays else 'to the host'}"] += waits
         elif name in READS:
@@ -104,6 +113,19 @@ class Costs(TorchDispatchMode):
             self.waits["indexing by a mask"] += not (name != "index" and given[-1].numel() == 1 and len(given) == 3)
         elif name not in VIEWS:
             self.launches += 1
+
+
+def event_class(costs: Costs) -> type:
+    """Return what stands in for `torch.cuda.Event`."""
+
+    class Event:
+        def record(self, stream: None) -> None:
+            self.recorded_after = costs.all_waits
+
+        def synchronize(self) -> None:
+            costs.waits["event"] += costs.all_waits == self.recorded_after
+
+    return Event
 
 
 def install(costs: Costs) -> None:
@@ -139,6 +161,8 @@ def install(costs: Costs) -> None:
         return run
 
     torch.Tensor.pin_memory = pin  # type: ignore[method-assign, assignment]
+    torch.cuda.Event = event_class(costs)  # type: ignore[misc, assignment]
+    torch.cuda.current_stream = lambda device=None: None  # type: ignore[assignment, return-value]
     wp.launch, wp.launch_tiled = counted(launch), counted(launch_tiled)
     wp.utils.array_scan, wp.utils.radix_sort_pairs = map(counted, (wp.utils.array_scan, wp.utils.radix_sort_pairs))
     for module in (arrays, passes, adam, losses, statistics):

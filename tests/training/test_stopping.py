@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from tdgbench.training.budget import PlateauRule, SettlingRule
 from tdgbench.training.curriculum import Curriculum
@@ -214,6 +215,16 @@ def test_switched_off_the_training_is_that_without_the_rule(small_gray_scene):
 def stops_at(losses, **rule):
     plateau = Plateau(PlateauRule(**{"epochs": 1, "patience": 2, "gain": 0.01, "after": 0, **rule}), views=5)
     return next((i for i, loss in enumerate(losses, start=1) if plateau.reached(i, loss)), None)
+
+
+def test_losses_of_a_gpu_decide_as_numbers_do():
+    losses = torch.rand(60, generator=torch.Generator().manual_seed(0)) + 1
+    rule = PlateauRule(epochs=1, patience=9, gain=0.0, after=3)
+    of_numbers, of_tensors = (Plateau(rule, views=5) for _ in range(2))
+    for i, loss in enumerate(losses, start=1):
+        assert of_tensors.reached(i, loss.double()) == of_numbers.reached(i, loss.item())
+        assert of_tensors.state_dict() == of_numbers.state_dict()
+    assert type(of_tensors.state_dict()["_sum"]) is float
 
 
 def test_a_falling_loss_goes_on():

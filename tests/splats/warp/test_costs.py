@@ -16,12 +16,7 @@ if REASON is None and not hasattr(registration, "_setup_privateuseone_for_python
     REASON = "this torch has no devices in Python"
 pytestmark = pytest.mark.skipif(REASON is not None, reason=str(REASON))
 
-# Of one set of Gaussians: pairs of its view, then loss, and flags of its gradients that are not finite.
-READS = {
-    "3dgs": {"_local_scalar_dense": 1, "_to_copy to the host": 2},
-    "tdg": {"_local_scalar_dense": 1, "_to_copy to the host": 2},
-    "msmg": {"_local_scalar_dense": 2, "_to_copy to the host": 3},
-}
+SETS = {"3dgs": 1, "tdg": 1, "msmg": 2}  # of Gaussians
 MOST_LAUNCHES = {"3dgs": 67, "tdg": 199, "msmg": 186}  # with a mask
 
 
@@ -34,21 +29,24 @@ def run(*call: str) -> dict:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def test_a_step_waits_for_pairs_loss_and_flags_alone(data_root):
-    """With active density control, with and without masks; rates are one copy without a wait per set of Gaussians."""
-    found = run("-m", "tests.helpers.stand_in_gpu", str(data_root), *READS)
-    assert len(found) == 2 * len(READS)
+def test_a_step_waits_for_its_pairs_alone(data_root):
+    """With active density control, with and without masks. Without a wait go learning rates, one copy per set of
+    Gaussians, and come loss and flags of gradients that are not finite.
+    """
+    found = run("-m", "tests.helpers.stand_in_gpu", str(data_root), *SETS)
+    assert len(found) == 2 * len(SETS)
     for name, steps in found.items():
         method = name.split(",")[0]
         assert len(steps) >= 5
         for step in steps:
-            assert step["waits"] == READS[method], name
-            assert step["to_device"] == READS[method]["_local_scalar_dense"]
+            assert step["waits"] == {"_local_scalar_dense": SETS[method]}, name
+            assert (step["to_device"], step["to_host"]) == (SETS[method], 1 + SETS[method])
             assert 40 < step["launches"] <= MOST_LAUNCHES[method], name
 
 
 NOTICED = """
 import json, torch
+from tdgbench.splats.transfer import received
 from tests.helpers.stand_in_gpu import NAME, Costs, install
 costs, found = Costs(), {}
 install(costs)
@@ -65,6 +63,9 @@ with costs:
         "to": lambda: host.to(NAME),
         "copy_": lambda: x.copy_(host),
         "cpu": lambda: x.cpu(),
+        "read at once": lambda: received(x)(),
+        "read after a wait": lambda: (received(x), x.sum().item())[0](),
+        "not read": lambda: received(x),
         "pageable": lambda: host.to(NAME, non_blocking=True),
         "pinned": lambda: pinned.to(NAME, non_blocking=True),
         "on the device": lambda: torch.where(mask, x, 0.0).index_add_(0, torch.arange(6, device=NAME), x),
@@ -78,7 +79,84 @@ print(json.dumps(found))
 
 
 def test_the_stand_in_notices_what_makes_a_host_wait():
-    without = {"pinned": 0, "on the device": 0}
+    without = {"pinned": 0, "on the device": 0, "not read": 0}
     found = run("-c", NOTICED)
     assert {name: found.pop(name) for name in without} == without
     assert set(found.values()) == {1}, found
+
+
+# 1000 iterations have a line of the log at 1, 5, 10, ...
+LATE = """
+import json, sys
+from pathlib import Path
+import torch
+from tdgbench.training.budget import PlateauRule
+from tdgbench.training.loop import train
+from tdgbench.training.part import NonFiniteError, Stopping
+from tdgbench.training.stopping import Plateau
+from tests.helpers.scenes import small_dataset
+from tests.helpers.stand_in_gpu import Costs, install
+from tests.helpers.training import ready_to_train
+
+class Reader(Stopping):
+    def reached(self, iteration, loss):
+        self.losses = [*getattr(self, "losses", []), loss]
+        return iteration == 4
+
+def trainer_of(method, spoil=None, at=0, **more):
+    trainer = ready_to_train(scene, method, 1000, "backend=warp")
+    stage, trainer.losses = trainer.stages[0], []
+    def step(iteration):
+        made = stage.step(iteration)
+        if iteration == at and spoil == "loss":
+            made.loss = made.loss * torch.inf
+        if iteration == at and spoil == "gradient":
+            made.render.image.register_hook(lambda grad: grad * torch.inf)
+        trainer.losses.append(made.loss.detach())
+        return made
+    trainer.stages[0] = stage._replace(step=step)
+    return trainer
+
+def error_of(method, spoil, at, **more):
+    trainer = trainer_of(method, spoil, at)
+    try:
+        train(trainer, **{name: lambda log: call(trainer) for name, call in more.items()})
+    except NonFiniteError as error:
+        return [error.iteration, error.tensor.split()[0], len(trainer.losses)]
+
+costs, found = Costs(), {}
+install(costs)
+scene = small_dataset(Path(sys.argv[1])).load("turntable")
+with costs:
+    for method in ("3dgs", "msmg"):
+        for spoil in ("loss", "gradient"):
+            found[f"{method} {spoil}"] = [error_of(method, spoil, at) for at in (1, 5, 7)]
+    found["checkpoint"] = error_of("3dgs", "gradient", 7, after_iteration=lambda trainer: trainer.state_dict())
+    found["before update"] = error_of("3dgs", "loss", 7, before_update=lambda trainer: None)
+    found["other error"] = error_of("3dgs", "gradient", 7, after_iteration=lambda t: 1 / (7 - len(t.losses)))
+
+    trainer = trainer_of("3dgs")
+    trainer.stopping = Plateau(PlateauRule(epochs=1, patience=1, gain=0.9, after=10), views=5)
+    log = train(trainer)
+    losses = [loss.item() for loss in trainer.losses]
+    found["plateau"], found["lines"] = log.iterations, [line.loss == losses[line.iteration - 1] for line in log.lines]
+
+    trainer = trainer_of("3dgs")
+    trainer.stopping = Reader()
+    found["rule"] = train(trainer).iterations
+    assert trainer.stopping.losses == [loss.item() for loss in trainer.losses]
+    assert all(type(loss) is float for loss in trainer.stopping.losses)
+print(json.dumps(found))
+"""
+
+
+def test_an_error_that_is_read_late_has_its_own_iteration(data_root):
+    """[iteration, tensor, steps that were rendered]: one more than that iteration, unless something needs it before."""
+    found = run("-c", LATE, str(data_root))
+    for method in ("3dgs", "msmg"):
+        assert found.pop(f"{method} loss") == [[1, "loss", 1], [5, "loss", 5], [7, "loss", 8]]
+        assert found.pop(f"{method} gradient") == [[1, "gradient", 1], [5, "gradient", 5], [7, "gradient", 8]]
+    assert found.pop("checkpoint") == [7, "gradient", 7]
+    assert found.pop("before update") == [7, "loss", 7]
+    assert found.pop("other error") == [7, "gradient", 7]
+    assert found == {"plateau": 20, "lines": [True] * 5, "rule": 4}
