@@ -77,21 +77,11 @@ def train(
                 for part in trainer.parts.values():
                     part.begin(iteration)
                 step = trainer.stage.step(iteration)
-                if trainer.on_gpu:
-                    trainer.pending.read()
-                    watched = _check_later(step, trainer, iteration)
-                else:
-                    loss, terms = step.numbers()
-                    if not math.isfinite(loss):
-                        _check_parameters(trainer.parts, iteration)
-                        raise NonFiniteError(iteration, _first_bad(step, terms))
-                    watched = terms.get("thermal", loss)
-                ends_stage = _ends(trainer, iteration, watched)
+                ends_stage = _ends(trainer, iteration, _checked_loss(step, trainer, iteration))
                 log.iterations += 1
                 log.ended = ends_stage and trainer.is_last_stage
                 if before_update is not None:
-                    if trainer.on_gpu:
-                        trainer.pending.read()
+                    trainer.pending.read()
                     clock.write_times()
                     before_update(log)
                     clock = Clock(log)
@@ -99,12 +89,10 @@ def train(
                     _update(step, trainer, iteration)
                 every = max(1, trainer.whole_context.budget.iterations // LOG_LINES)
                 if log.iterations % every == 0 or log.iterations == 1 or ends_stage:
-                    if trainer.on_gpu:
-                        trainer.pending.read()
-                        loss, terms = step.numbers()
+                    trainer.pending.read()
                     _check_parameters(trainer.parts, iteration)
                     clock.write_times()
-                    line = _line(log, step, loss, terms, trainer)
+                    line = _line(log, step, trainer)
                     log.lines.append(line)
                     if on_log_line is not None:
                         on_log_line(line)
@@ -118,6 +106,18 @@ def train(
         error.iteration += trainer.iterations_before  # of the whole training, as in the log
         raise
     return log
+
+
+def _checked_loss(step: Step, trainer: Trainer, iteration: int) -> float | Tensor:
+    """Check that the loss is finite, on a GPU later; return the loss that stopping rules watch."""
+    if trainer.on_gpu:
+        trainer.pending.read()
+        return _check_later(step, trainer, iteration)
+    loss, terms = step.numbers()
+    if not math.isfinite(loss):
+        _check_parameters(trainer.parts, iteration)
+        raise NonFiniteError(iteration, _first_bad(step, terms))
+    return terms.get("thermal", loss)
 
 
 def _check_later(step: Step, trainer: Trainer, iteration: int) -> float | Tensor:
@@ -145,8 +145,9 @@ def _ends(trainer: Trainer, iteration: int, loss: Any) -> bool:
     return any(reached) and all(part.has_recovered(iteration) for part in trainer.parts.values())
 
 
-def _line(log: TrainingLog, step: Step, loss: float, terms: dict[str, float], trainer: Trainer) -> LogLine:
+def _line(log: TrainingLog, step: Step, trainer: Trainer) -> LogLine:
     """Return the line of an iteration; its PSNR is smoothed with that of the line before."""
+    loss, terms = step.numbers()
     psnr = _psnr(step)
     smoothed = psnr if not log.lines else 0.8 * log.lines[-1].psnr + 0.2 * psnr
     gaussians = sum(len(model) for model in trainer.gaussians.values())
