@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
+from scipy.linalg import solveh_banded
 from scipy.ndimage import minimum_filter
-from scipy.sparse import coo_matrix, diags
-from scipy.sparse.linalg import spsolve
 
 from tdgbench.priors.prior import DepthPrior, PriorError
 from tdgbench.scenes import Camera, Scene, View
@@ -111,13 +110,19 @@ class SfmPointsPrior:
 
     def _solve(self, values: np.ndarray, weight: np.ndarray, thermal: np.ndarray) -> np.ndarray:
         """Return the minimiser (H, W) for data `values` with `weight` and edges of `thermal`, all (H, W)."""
-        index = np.arange(values.size).reshape(values.shape)
-        pairs = [(index[:, :-1], index[:, 1:]), (index[:-1], index[1:])]
-        a, b = (np.concatenate([p[side].ravel() for p in pairs]) for side in (0, 1))
-        step = thermal.ravel()[a] - thermal.ravel()[b]
-        link = self.smoothness * np.maximum(np.exp(-((step / self.edge) ** 2)), 1e-3)
-        n = values.size
-        off_diagonal = coo_matrix((-link, (a, b)), shape=(n, n))
-        degree = np.bincount(a, link, n) + np.bincount(b, link, n)
-        system = off_diagonal + off_diagonal.T + diags(degree + weight.ravel())
-        return spsolve(system.tocsc(), (weight * values).ravel()).reshape(values.shape)
+        if values.shape[0] < values.shape[1]:  # the band of the matrix is as wide as a row
+            return self._solve(values.T, weight.T, thermal.T).T
+        columns = values.shape[1]
+        right, down = np.zeros((2, *values.shape))  # λ exp(−(ΔT / σ)²) with the neighbour; 0 at the border
+        right[:, :-1], down[:-1] = (
+            self.smoothness * np.maximum(np.exp(-((np.diff(thermal, axis=axis) / self.edge) ** 2)), 1e-3)
+            for axis in (1, 0)
+        )
+        band = np.zeros((columns + 1, values.size))  # lower diagonals
+        band[0] = (weight + right + down).ravel()
+        band[0, 1:] += right.ravel()[:-1]
+        band[0, columns:] += down.ravel()[:-columns]
+        band[1] -= right.ravel()
+        band[columns] -= down.ravel()
+        solution = solveh_banded(band, (weight * values).ravel(), overwrite_ab=True, lower=True, check_finite=False)
+        return solution.reshape(values.shape)

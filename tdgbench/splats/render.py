@@ -58,7 +58,7 @@ def footprint_sums(
     with torch.enable_grad():
         colors = maps.new_zeros(len(gaussians.means), maps.shape[2], requires_grad=True)
         view = render_view(gaussians._replace(colors=colors, sh_degree=None), camera, backend=backend)
-        view.image.backward(maps)
+        (view.image * maps).sum().backward()  # a scalar: given a gradient, torch imports sympy for half a second
     assert colors.grad is not None
     return colors.grad, view
 

@@ -94,11 +94,10 @@ def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
 
 def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
     """Draw REPLICATES means: seeds are drawn with replacement, and so are each one's views."""
-    drawn = np.empty(REPLICATES)
-    for i in range(REPLICATES):
-        chosen = rng.integers(len(seeds), size=len(seeds))
-        drawn[i] = np.mean([seeds[s][rng.integers(len(seeds[s]), size=len(seeds[s]))].mean() for s in chosen])
-    return drawn
+    shape = (REPLICATES, len(seeds))
+    means = np.array([values[rng.integers(len(values), size=(*shape, len(values)))].mean(axis=2) for values in seeds])
+    chosen = rng.integers(len(seeds), size=shape)
+    return np.take_along_axis(means, chosen[None], axis=0)[0].mean(axis=1)
 
 
 def _row(key: tuple[str, ...], drawn: np.ndarray) -> dict[str, object]:
