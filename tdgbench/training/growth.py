@@ -64,8 +64,9 @@ class GrowthTest:
         """Return which Gaussians to grow and prune. degree: of the harmonics in use."""
         views, weight = gaussians.means.new_zeros(2, len(gaussians))
         difference = gaussians.means.new_zeros(len(gaussians), gaussians.channels)
+        active, halves = gaussians.activated(degree), split_in_halves(gaussians)
         for view in self.views_of_round(round_number):
-            seen = self.measure(self.curriculum.at_resolution(view), gaussians, degree)
+            seen = self.measure(self.curriculum.at_resolution(view), active, halves)
             views += seen.visible
             weight += seen.weight
             difference += seen.difference
@@ -81,14 +82,13 @@ class GrowthTest:
         count = min(self.rule.views, len(views))
         return [views[(round_number + i * len(views) // count) % len(views)] for i in range(count)]
 
-    def measure(self, view: View, gaussians: Gaussians, degree: int) -> Footprints:
-        """Render a view and return the footprints of the Gaussians in its residual."""
+    def measure(self, view: View, active: GaussianTensors, halves: GaussianTensors) -> Footprints:
+        """Render a view and return the footprints of the Gaussians, and of their halves, in its residual."""
         thermal_camera = self.camera_of(view.camera)
-        camera = Pinhole.of(thermal_camera).to(gaussians.means)
-        active = gaussians.activated(degree)
+        camera = Pinhole.of(thermal_camera).to(active.means)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
         target, valid = self.modality.tensors_of(view, image.device)
-        return footprints(gaussians, thermal_camera, target - image, valid, self.backend)
+        return footprints(halves, thermal_camera, target - image, valid, self.backend)
 
 
 class Footprints(NamedTuple):
@@ -102,18 +102,18 @@ class Footprints(NamedTuple):
 
 @torch.no_grad()
 def footprints(
-    gaussians: Gaussians, camera: Camera, residual: Tensor, valid: Tensor | None, backend: str
+    halves: GaussianTensors, camera: Camera, residual: Tensor, valid: Tensor | None, backend: str
 ) -> Footprints:
     """Return the footprints of Gaussians in a residual (H, W, C); pixels where `valid` (H, W) is false do not count.
 
-    Each Gaussian is rendered as its two halves. The gradient of a half's colour is the sum over its footprint of the
-    image's gradient, which is set to the residual.
+    halves: of the Gaussians, from `split_in_halves`. The gradient of a half's colour is the sum over its footprint of
+    the image's gradient, which is set to the residual.
     """
     counts = torch.ones_like(residual[..., :1]) if valid is None else valid[..., None].to(residual)
     known = residual if valid is None else torch.where(valid[..., None], residual, 0.0)  # NaN may be at masked pixels
     maps = torch.cat([counts, known], dim=-1)
-    n = len(gaussians)
-    sums, view = footprint_sums(split_in_halves(gaussians), Pinhole.of(camera).to(maps), maps, backend)
+    n = len(halves.means) // 2
+    sums, view = footprint_sums(halves, Pinhole.of(camera).to(maps), maps, backend)
     assert view.projection is not None
     first, second = sums[:n], sums[n:]
     radii = view.projection.radii

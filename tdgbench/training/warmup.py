@@ -10,7 +10,7 @@ from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
 from tdgbench.training.context import training_device
-from tdgbench.training.growth import footprints
+from tdgbench.training.growth import footprints, split_in_halves
 from tdgbench.training.losses import inverse_expected_depth, min_max, thermal_loss
 from tdgbench.training.model import SplatModel
 
@@ -51,5 +51,5 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
                 loss.backward()
             model.step(iteration)
         if budget.growth is not None:
-            footprints(model.gaussians, camera, torch.zeros_like(black), None, backend)
+            footprints(split_in_halves(model.gaussians), camera, torch.zeros_like(black), None, backend)
         model.optimizer.flush()

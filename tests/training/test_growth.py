@@ -143,7 +143,7 @@ def long_and_short() -> Gaussians:
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 def test_weights_are_those_of_the_blend(backend):
     gaussians = long_and_short()
-    seen = footprints(gaussians, camera(), torch.ones(32, 32, 1), None, backend)
+    seen = footprints(split_in_halves(gaussians), camera(), torch.ones(32, 32, 1), None, backend)
     for index in range(2):
         parts = split_in_halves(gaussians)
         colors = torch.zeros(4, 1)
@@ -157,7 +157,7 @@ def test_the_difference_is_that_of_the_halves_along_the_longest_axis():
     across, along = torch.ones(32, 32, 1), torch.ones(32, 32, 1)
     along[:, 16:] = -1.0
     across[16:] = -1.0
-    by_columns, by_rows = (footprints(long_and_short(), camera(), r, None, "cpu") for r in (along, across))
+    by_columns, by_rows = (footprints(split_in_halves(long_and_short()), camera(), r, None, "cpu") for r in (along, across))
     assert abs(by_columns.difference[0]) > 0.5 * by_columns.weight[0]
     assert abs(by_columns.residual[0]) < 1e-3 * by_columns.weight[0]
     assert abs(by_rows.difference[0]) < 1e-3 * by_rows.weight[0]
@@ -178,8 +178,8 @@ def test_masked_pixels_count_nothing():
     valid[:, :16] = False
     residual = torch.ones(32, 32, 1)
     residual[:, :16] = float("nan")
-    seen = footprints(long_and_short(), camera(), residual, valid, "cpu")
-    whole = footprints(long_and_short(), camera(), torch.ones(32, 32, 1), None, "cpu")
+    seen = footprints(split_in_halves(long_and_short()), camera(), residual, valid, "cpu")
+    whole = footprints(split_in_halves(long_and_short()), camera(), torch.ones(32, 32, 1), None, "cpu")
     assert seen.weight[0].item() == pytest.approx(whole.weight[0].item() / 2, rel=1e-3)
     assert torch.allclose(seen.residual[:, 0], seen.weight)
 
@@ -187,5 +187,5 @@ def test_masked_pixels_count_nothing():
 def test_a_gaussian_out_of_sight_says_nothing():
     gaussians = long_and_short()
     gaussians.means[1] = torch.tensor([0.0, 0.0, -9.0])
-    seen = footprints(gaussians, camera(), torch.ones(32, 32, 1), None, "cpu")
+    seen = footprints(split_in_halves(gaussians), camera(), torch.ones(32, 32, 1), None, "cpu")
     assert seen.visible.tolist() == [True, False] and seen.weight[1] == 0

@@ -140,7 +140,7 @@ def write_scene(world: World, folder: Path, shot: Shot) -> None:
             if shot.errors.rig != TrueRig():
                 _, degC, depth = render_world(world, place, rig=shot.errors.rig)
             rgb = (rgb + rng.normal(0, RGB_NOISE, rgb.shape)).clip(0, 1)
-            Image.fromarray(np.round(rgb * 255).astype(np.uint8)).save(part / "rgb" / f"{name}.png")
+            Image.fromarray(np.round(rgb * 255).astype(np.uint8)).save(part / "rgb" / f"{name}.png", compress_level=1)
             noise = rng.normal(0, shot.errors.noise_degC, degC.shape)
             thermal.view(name, camera.shown(degC, index, noise))
             np.save(part / "depth" / f"{name}.npy", depth.astype(np.float32))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,8 +54,17 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: tuple[float, float, float] 
     return pose
 
 
-def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cast rays: colour (N, 3), temperature (N,) in °C and depth z (N,) in m at image points (N, 2) in px."""
+class Hits(NamedTuple):
+    """Where N rays meet a world first."""
+
+    points: np.ndarray  # (N, 3) in m
+    depth: np.ndarray  # (N,) z in m
+    normals: np.ndarray  # (N, 3)
+    owner: np.ndarray  # (N,) index of the object
+
+
+def trace(world: World, camera: Camera, pixels: np.ndarray) -> Hits:
+    """Return the hits of the rays through image points (N, 2) in px."""
     local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(pixels), 1))], axis=1)
     rays = local @ camera.world_to_camera[:3, :3]  # z = 1 in the camera, so that t is the depth
     depth = np.full(len(pixels), np.inf)
@@ -66,19 +76,22 @@ def cast(world: World, camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, 
         depth[nearer], normals[nearer], owner[nearer] = t[nearer], normal[nearer], index
     if (owner < 0).any():
         raise ValueError(f"{int((owner < 0).sum())} rays leave the world; it must enclose its cameras")
-    points = camera.center + depth[:, None] * rays
+    return Hits(camera.center + depth[:, None] * rays, depth, normals, owner)
+
+
+def shade(world: World, hits: Hits) -> tuple[np.ndarray, np.ndarray]:
+    """Return colour (N, 3) and temperature (N,) in °C of hits."""
     light = np.array(world.light) / np.linalg.norm(world.light)
-    diffuse = np.abs(normals @ light)
-    color, degC = np.zeros((len(pixels), 3)), np.zeros(len(pixels))
+    diffuse = np.abs(hits.normals @ light)
+    color, degC = np.zeros_like(hits.points), np.zeros_like(hits.depth)
     for index, (_, material) in enumerate(world.objects):
-        hit = owner == index
-        if hit.any():
-            color[hit] = material.albedo(points[hit])
-            degC[hit] = material.temperature(points[hit])
+        own = hits.owner == index
+        if own.any():
+            color[own], degC[own] = material.shade(hits.points[own])
     if world.degC_per_metre:
-        degC += world.degC_per_metre * points[:, 0]
+        degC += world.degC_per_metre * hits.points[:, 0]
     color *= (AMBIENT + (1 - AMBIENT) * diffuse)[:, None] * world.exposure
-    return color, degC, depth
+    return color, degC
 
 
 def render_world(
@@ -98,8 +111,8 @@ def render_world(
     for dy in offsets:
         for dx in offsets:
             pixels = rig.undistorted(corner + np.array([dx, dy]), camera.K)
-            sample_color, sample_degC, _ = cast(world, camera, pixels)
+            sample_color, sample_degC = shade(world, trace(world, camera, pixels))
             color += sample_color / supersampling**2
             degC += sample_degC / supersampling**2
-    _, _, depth = cast(world, camera, rig.undistorted(corner + 0.5, camera.K))
+    depth = trace(world, camera, rig.undistorted(corner + 0.5, camera.K)).depth
     return color.clip(0, 1).reshape(*shape, 3), degC.reshape(shape), depth.reshape(shape)

@@ -5,7 +5,6 @@ World axes: x, y on the ground, z up; rays are not normalised.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -188,15 +187,13 @@ class Material:
     spots: tuple[Spot, ...] = field(default_factory=tuple)
     sharpness: float = 4.0
 
-    def albedo(self, points: np.ndarray) -> np.ndarray:
-        """Return RGB (N, 3) in [0, 1] at points (N, 3)."""
-        mix = 1 / (1 + np.exp(-self.sharpness * 4 * (self.pattern(points) - 0.5)))
-        return mix[:, None] * np.array(self.color_a) + (1 - mix[:, None]) * np.array(self.color_b)
-
-    def temperature(self, points: np.ndarray) -> np.ndarray:
-        """Return temperatures (N,) in °C at points (N, 3)."""
-        pattern = self.degC_pattern * (self.pattern(points) - 0.5)
-        return self.degC + pattern + self.degC_per_metre * points[:, 2] + sum(spot(points) for spot in self.spots)
+    def shade(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return RGB (N, 3) in [0, 1] and temperatures (N,) in °C at points (N, 3)."""
+        pattern = self.pattern(points) - 0.5
+        mix = 1 / (1 + np.exp(-self.sharpness * 4 * pattern))
+        albedo = mix[:, None] * np.array(self.color_a) + (1 - mix[:, None]) * np.array(self.color_b)
+        rise = self.degC_pattern * pattern + self.degC_per_metre * points[:, 2]
+        return albedo, self.degC + rise + sum(spot(points) for spot in self.spots)
 
 
 @dataclass(frozen=True)
@@ -206,19 +203,11 @@ class Patches:
     sites: np.ndarray  # (P, 2), m
     materials: list[Material]  # (P,)
 
-    def albedo(self, points: np.ndarray) -> np.ndarray:
-        """Return RGB (N, 3) in [0, 1] at points (N, 3)."""
-        return self._each(points, Material.albedo, np.zeros((len(points), 3)))
-
-    def temperature(self, points: np.ndarray) -> np.ndarray:
-        """Return temperatures (N,) in °C at points (N, 3)."""
-        return self._each(points, Material.temperature, np.zeros(len(points)))
-
-    def _each(
-        self, points: np.ndarray, value: Callable[[Material, np.ndarray], np.ndarray], values: np.ndarray
-    ) -> np.ndarray:
-        """Fill `found` (N, ...) with the value of each point's material."""
+    def shade(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return RGB (N, 3) in [0, 1] and temperatures (N,) in °C at points (N, 3)."""
+        albedo, degC = np.zeros((len(points), 3)), np.zeros(len(points))
         owner = cKDTree(self.sites).query(points[:, :2])[1]
         for index in np.unique(owner):
-            values[owner == index] = value(self.materials[index], points[owner == index])
-        return values
+            own = owner == index
+            albedo[own], degC[own] = self.materials[index].shade(points[own])
+        return albedo, degC

@@ -1,7 +1,7 @@
 import numpy as np
 
 from tdgbench.scenes import Camera
-from tdgbench.scenes.synthetic.render import cast, look_at
+from tdgbench.scenes.synthetic.render import look_at, shade, trace
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tests.helpers.scenes import small_dataset
 
@@ -11,8 +11,9 @@ def test_temperatures_are_in_the_image(data_root):
     scene = small_dataset(data_root).load("facade")
     world, view = WORLDS["facade"](0), scene.train[3]
     y, x = np.mgrid[0:36, 0:48] + 0.5
-    _, degC, depth = cast(world, view.camera, np.stack([x.ravel(), y.ravel()], axis=-1))
-    assert np.allclose(depth.reshape(36, 48), view.true_depth, rtol=1e-5)
+    hits = trace(world, view.camera, np.stack([x.ravel(), y.ravel()], axis=-1))
+    _, degC = shade(world, hits)
+    assert np.allclose(hits.depth.reshape(36, 48), view.true_depth, rtol=1e-5)
     low, high = scene.temperature.min, scene.temperature.max
     shown = view.thermal[..., 0] * (high - low) + low
     assert np.median(np.abs(shown - degC.reshape(36, 48))) < 0.2
