@@ -28,13 +28,14 @@ class TrunkSpec:
 
     file: str  # in torch's cache and hub
     ends: tuple[int, ...]  # numbers of layers before each set of features
+    smallest: int  # px; shorter sides leave no feature at the end
 
 
 HUB = "https://download.pytorch.org/models/"
 SPECS = {
-    "vgg": TrunkSpec("vgg16-397923af.pth", (4, 9, 16, 23, 30)),
-    "alex": TrunkSpec("alexnet-owt-7be5be79.pth", (2, 5, 8, 10, 12)),
-    "squeeze": TrunkSpec("squeezenet1_1-b8a52dc0.pth", (2, 5, 8, 10, 11, 12, 13)),
+    "vgg": TrunkSpec("vgg16-397923af.pth", (4, 9, 16, 23, 30), 16),
+    "alex": TrunkSpec("alexnet-owt-7be5be79.pth", (2, 5, 8, 10, 12), 31),
+    "squeeze": TrunkSpec("squeezenet1_1-b8a52dc0.pth", (2, 5, 8, 10, 11, 12, 13), 17),
 }
 
 

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from tdgbench.scoring.backbones import SPECS, BackboneUnavailableError, make_trunk, trunk_weights
+from tdgbench.scoring.scored_view import NotApplicableError
 
 Net = Literal["vgg", "alex", "squeeze"]
 Range = Literal["unit", "signed"]
@@ -39,12 +40,19 @@ class LPIPS:
     ) -> None:
         if net not in SPECS:
             raise ValueError(f"metrics.lpips.net is {net!r}; it must be one of {', '.join(SPECS)}")
-        self.input_range = input_range
+        self.net, self.input_range = net, input_range
         self.model = Network(net, trunk_weights(net, weights, download)).eval().requires_grad_(False)
 
     @torch.no_grad()
     def __call__(self, image: np.ndarray, target: np.ndarray) -> float:
-        """Return the distance of images (H, W, 1 or 3) in [0, 1]; gray images become three equal channels."""
+        """Return the distance of images (H, W, 1 or 3) in [0, 1]; gray images become three equal channels.
+
+        Raises NotApplicableError for images that are too small for the network.
+        """
+        height, width = image.shape[:2]
+        if min(height, width) < self.model.spec.smallest:
+            needed = f"{self.net} needs sides of {self.model.spec.smallest} px"
+            raise NotApplicableError(f"images of {width}×{height} px are too small for LPIPS: {needed}")
         return float(self.model(self._prepare(image), self._prepare(target)))
 
     def _prepare(self, image: np.ndarray) -> Tensor:

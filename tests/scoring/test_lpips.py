@@ -8,6 +8,7 @@ import torch
 
 from tdgbench.scoring.backbones import SPECS, make_trunk
 from tdgbench.scoring.lpips import LPIPS, ROWS, Network, _unit, _weighted
+from tdgbench.scoring.scored_view import NotApplicableError
 from tests.scoring.weights import random_state
 
 
@@ -83,3 +84,13 @@ def test_the_network_is_on_the_cpu(tmp_path, monkeypatch):
 def test_unknown_net():
     with pytest.raises(ValueError, match="net is 'resnet'"):
         LPIPS("resnet", "unit")
+
+
+@pytest.mark.parametrize("net", SPECS)
+def test_images_too_small_for_a_network_have_no_lpips(net, monkeypatch):
+    monkeypatch.setattr("tdgbench.scoring.lpips.trunk_weights", lambda *of: random_state(net))
+    metric, smallest = LPIPS(net, "unit"), SPECS[net].smallest
+    image = np.zeros((smallest, smallest + 3, 1), np.float32)
+    assert metric(image, image) == 0
+    with pytest.raises(NotApplicableError, match=f"{smallest + 3}×{smallest - 1} px .* needs sides of {smallest} px"):
+        metric(image[1:], image[1:])
