@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 
 from tdgbench import __version__
 from tdgbench.resources import conf_folder
-from tdgbench.terminal import say
+from tdgbench.terminal import console, say
 from tdgbench.tools import TOOLS
 from tdgbench.usage import usage
 
@@ -40,6 +40,8 @@ def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
     elif "--version" in words:
         say(f"tdgbench {__version__}")
     else:
+        if console(stderr=True).is_terminal:
+            say(f"tdgbench {__version__}: loading", stderr=True)  # a person would wait seconds for the first line
         from tdgbench.experiments import callback  # noqa: F401 (what experiments need)
 
         on_loaded()
