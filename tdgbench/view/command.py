@@ -11,7 +11,8 @@ from pathlib import Path
 
 from tdgbench.terminal import say
 from tdgbench.text import one_line
-from tdgbench.view.cells import open_cells
+from tdgbench.view.cells import open_cell, open_cells
+from tdgbench.view.export import MAX_MB, export
 
 WIDTH = 1280  # px
 LOCAL = "127.0.0.1"
@@ -28,8 +29,17 @@ def main(arguments: list[str]) -> int:
         "--width", type=_whole_number(16, 8192), default=WIDTH, help=f"most pixels of a picture's width ({WIDTH})"
     )
     parser.add_argument("--no-open", action="store_true", help="open no browser, only print the address")
+    parser.add_argument("--export", metavar="FILE", type=Path, help="write one HTML file that needs no server")
+    parser.add_argument(
+        "--max-mb", metavar="N", type=_whole_number(1, 150), default=MAX_MB, help=f"its largest size ({MAX_MB})"
+    )
     options = parser.parse_args(arguments)
     try:
+        if len(options.cell) > 1 and options.export:
+            raise ValueError(f"--export takes one folder, not {len(options.cell)}")
+        if options.export:
+            say(export(open_cell(options.cell[0]), options.export, options.max_mb))
+            return 0
         return _show(options)
     except (ValueError, OSError) as error:
         say(one_line(f"tdgbench view: {error}"), stderr=True)
