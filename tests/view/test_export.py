@@ -127,7 +127,7 @@ def test_mouse_keys_and_list_move_the_camera(tdg_folder, tmp_path):
         page.wait_for(STILL, 90)
         pictures = [light(page)]
         key = "document.querySelector('canvas').dispatchEvent(new KeyboardEvent('keydown', {{ key: {!r} }}))"
-        for act in (drag, *(key.format(name) for name in ("ArrowLeft", "+")), JUMP.format(1), JUMP.format(0)):
+        for act in (drag, pinch, *(key.format(name) for name in ("ArrowLeft", "+")), JUMP.format(1), JUMP.format(0)):
             act(page) if callable(act) else page.run(act)
             page.wait_for(STILL, 60)
             pictures.append(light(page))
@@ -142,6 +142,12 @@ def drag(page: Page) -> None:
     page.mouse("pressed", 200, 100, buttons=1)
     page.mouse("moved", 230, 110, buttons=1)
     page.mouse("released", 230, 110)
+
+
+def pinch(page: Page) -> None:
+    for kind, reach in (("touchStart", 20), ("touchMove", 30), ("touchMove", 40), ("touchEnd", None)):
+        fingers = [] if reach is None else [{"x": 200 + sign * reach, "y": 100, "id": sign + 1} for sign in (-1, 1)]
+        page.call("Input.dispatchTouchEvent", type=kind, touchPoints=fingers)
 
 
 @pytest.mark.slow
