@@ -13,6 +13,7 @@ setup(
         "tdgbench.report": ["*.j2", "*.css", "*.js"],
         "tdgbench.compare": ["*.j2"],
         "tdgbench.site": ["*.j2"],
+        "tdgbench.view": ["*.j2", "*.js"],
         "tdgbench.conf": ["**/*.yaml"],
         "tdgbench.paper_tables": ["*"],
     },

@@ -43,7 +43,10 @@ TOOLS = {
         ),
         "tdgbench.data.command",
     ),
-    "view": Tool((("CELL ...", "look at models in the browser"),), "tdgbench.view.command"),
+    "view": Tool(
+        (("CELL ... | --follow DIR", "look at models in the browser; at a training while it runs"),),
+        "tdgbench.view.command",
+    ),
     "verify": Tool(
         (("DIR|PACK ...", "check results against their records: hashes, renders, scores"),), "tdgbench.verify"
     ),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import NamedTuple, cast
@@ -24,7 +25,7 @@ from tdgbench.bench.protocol import protocol_of
 from tdgbench.bench.record import MadeElsewhere, PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.scores import score_training_views, write_log, write_views
-from tdgbench.bench.setup import Facts, SetupObserver, loader_of, set_up
+from tdgbench.bench.setup import Facts, SetupObserver, Training, loader_of, set_up
 from tdgbench.bench.stored import hashes
 from tdgbench.bench.stored_parts import write_parts
 from tdgbench.files import whole_folder
@@ -36,6 +37,7 @@ from tdgbench.text import duration
 from tdgbench.thermal import ImageResponse
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.context import training_device
+from tdgbench.training.images import MODALITIES
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
 from tdgbench.training.model import SplatModel
@@ -141,6 +143,8 @@ class CellRun(SetupObserver):
         self._warn_if_slow(ready.trainer)
         with self.phase("train"):
             checkpoint = self._open_checkpoint()
+            if cell.method.trains:
+                self._announce(ready)
             log = checkpoint.resume(ready.trainer)
             try:
                 log = train(ready.trainer, self.progress.line, checkpoint.write_if_due, log)
@@ -184,6 +188,23 @@ class CellRun(SetupObserver):
             record.hashes = hashes(unfinished)
             record.write(unfinished)
         self._discard(checkpoint)
+
+    def _announce(self, ready: Training) -> None:
+        """Write what the checkpoints are of, for `tdgbench view --follow`: the record so far, and the cameras."""
+        context, parts = ready.trainer.whole_context, {}
+        if context.budget.background == "mean":
+            means = {name: MODALITIES[name].mean(context.scene.train) for name in ready.trainer.method.modalities}
+            parts = {name: PartReport(background=mean.tolist()) for name, mean in means.items()}
+        try:
+            with whole_folder(self._running) as unfinished:
+                replace(self.record, seconds={"train": 0.0}, parts=parts).write(unfinished)
+                cameras.write_cameras(unfinished / cameras.FILE, ready.scored)
+        except OSError as error:
+            self.remarks.append(f"tdgbench view --follow cannot show it: {error}")
+
+    def withdraw(self) -> None:
+        """Remove what `train` wrote for `tdgbench view --follow`."""
+        shutil.rmtree(self._running, ignore_errors=True)
 
     def discard_checkpoint(self) -> None:
         """Remove the cell's checkpoint, if there is one."""
@@ -244,6 +265,10 @@ class CellRun(SetupObserver):
         budget, method = trainer.whole_context.budget, trainer.method
         finished = Finished(scene, method.name, "rgb" in method.modalities, budget, log.iterations, curricula, work)
         record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(skips, finished)]
+
+    @property
+    def _running(self) -> Path:
+        return self.experiment / "running" / short_name(self.experiment, self.folder)
 
     @property
     def _checkpoint_path(self) -> Path:

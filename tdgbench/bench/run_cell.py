@@ -45,6 +45,8 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
         status: Status = "no prior" if isinstance(error, PriorUnavailableError) else "failed"
         outcome = Outcome(status, _title(cfg, run), _keep_failure(error, run))
     finally:
+        if run is not None and run.is_locked:
+            run.withdraw()
         remarks = _close(held, progress)
     return replace(outcome, message="; ".join(filter(None, [outcome.message, *remarks])))
 

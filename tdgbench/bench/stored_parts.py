@@ -21,6 +21,7 @@ from tdgbench.splats.ply import load_ply
 from tdgbench.splats.view import Render
 from tdgbench.training.budget import Budget
 from tdgbench.training.method import Context, Frame, Method
+from tdgbench.training.model import SplatModel
 from tdgbench.training.trainer import Trainer
 
 FILE = "parts.pt"
@@ -41,11 +42,7 @@ class StoredMethod:
 
     def __init__(self, folder: Path, record: Record, cameras: Cameras) -> None:
         """cameras: of all views. Raises ValueError, naming file or method, if they cannot be restored."""
-        method = _method_of(record)
-        context = Context(_scene_of(record, cameras), _POINTS, {}, _budget_of(record), "cpu", 0)
-        trial = record.thermal_camera.get("rig", {})  # of `thermal_camera.rig=auto`
-        context.learns_rig = trial.get("pays", bool(record.setting("thermal_camera.rig")))
-        trainer = Trainer(method, context)
+        trainer = _trainer_of(record, cameras)
         trainer.at_stage(len(trainer.stages) - 1)
         for name, model in trainer.gaussians.items():
             model.restore(load_ply(folder / files_of(name).model), background_of(record, name), blending_of(record))
@@ -72,7 +69,41 @@ class StoredMethod:
         return self._trainer.method.render(frame, modality)
 
 
+class MethodInTraining(StoredMethod):
+    """The method of a cell in training as a checkpoint has it. models: the Gaussians by name."""
+
+    def __init__(self, checkpoint: Path, record: Record, cameras: Cameras) -> None:
+        """Raises ValueError, naming file or method, if it cannot be restored, FileNotFoundError if it is not there."""
+        trainer = self._trainer = _trainer_of(record, cameras)
+        try:
+            saved = torch.load(checkpoint, weights_only=True, map_location="cpu")
+            trainer.at_stage(saved["stage"])
+            for name, part in trainer.all_parts().items():
+                if isinstance(part, SplatModel):
+                    rows, part.degree = saved["parts"][name]["rows"], saved["parts"][name]["degree"]
+                    part.state.load_state_dict(rows)
+                    part.optimizer.load_state_dict(saved["parts"][name]["optimizer"])
+                    part.background = background_of(record, name)
+                elif part.needed_to_render:
+                    part.load_state_dict(saved["parts"][name])
+            self.iterations: int = saved["log"]["iterations"]
+        except FileNotFoundError:
+            raise
+        except Exception as error:  # torch documents no exception types for foreign files
+            raise ValueError(f"{checkpoint} does not hold a training of {record.method}: {error}") from error
+        self.models = {name: model.gaussians for name, model in trainer.gaussians.items()}
+
+
 _POINTS = PointCloud(np.zeros((4, 3)), np.full((4, 3), 0.5, np.float32))  # in the place of the stored Gaussians
+
+
+def _trainer_of(record: Record, cameras: Cameras) -> Trainer:
+    """Return the trainer of a record at its first stage, without images. Raises ValueError, naming the method."""
+    method = _method_of(record)
+    context = Context(_scene_of(record, cameras), _POINTS, {}, _budget_of(record), "cpu", 0)
+    trial = record.thermal_camera.get("rig", {})  # of `thermal_camera.rig=auto`
+    context.learns_rig = trial.get("pays", bool(record.setting("thermal_camera.rig")))
+    return Trainer(method, context)
 
 
 def _method_of(record: Record) -> Method:

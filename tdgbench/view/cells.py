@@ -34,6 +34,7 @@ class ViewedCell:
     train: dict[str, Camera]  # by view
     test: dict[str, Camera]
     method: StoredMethod | None = None  # that renders more than the Gaussians of the models; None: these are all
+    state: str = ""  # of a cell that is followed, in words
 
     @property
     def modalities(self) -> list[str]:

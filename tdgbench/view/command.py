@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+import time
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 
 from tdgbench.terminal import say
 from tdgbench.text import one_line
-from tdgbench.view.cells import open_cells
+from tdgbench.view.cells import open_cell, open_cells
+from tdgbench.view.export import MAX_MB, export
+from tdgbench.view.follow import Follower
 
 WIDTH = 1280  # px
 LOCAL = "127.0.0.1"
@@ -28,8 +31,19 @@ def main(arguments: list[str]) -> int:
         "--width", type=_whole_number(16, 8192), default=WIDTH, help=f"most pixels of a picture's width ({WIDTH})"
     )
     parser.add_argument("--no-open", action="store_true", help="open no browser, only print the address")
+    one = parser.add_mutually_exclusive_group()
+    one.add_argument("--follow", action="store_true", help="results/<experiment>: its training while it runs")
+    one.add_argument("--export", metavar="FILE", type=Path, help="write one HTML file that needs no server")
+    parser.add_argument(
+        "--max-mb", metavar="N", type=_whole_number(1, 150), default=MAX_MB, help=f"its largest size ({MAX_MB})"
+    )
     options = parser.parse_args(arguments)
     try:
+        if len(options.cell) > 1 and (options.export or options.follow):
+            raise ValueError(f"--{'export' if options.export else 'follow'} takes one folder, not {len(options.cell)}")
+        if options.export:
+            say(export(open_cell(options.cell[0]), options.export, options.max_mb))
+            return 0
         return _show(options)
     except (ValueError, OSError) as error:
         say(one_line(f"tdgbench view: {error}"), stderr=True)
@@ -43,8 +57,10 @@ def _show(options: argparse.Namespace) -> int:
         if error.name != "viser":
             raise
         raise ValueError("it needs viser: pip install -e '.[view]'") from error
-    say(f"loading {', '.join(map(str, options.cell))}", stderr=True)
-    cells = open_cells(options.cell)
+    follower = Follower(options.cell[0]) if options.follow else None
+    if follower is None:
+        say(f"loading {', '.join(map(str, options.cell))}", stderr=True)
+    cells = open_cells(options.cell) if follower is None else follower.next(time.sleep)
     with serving(options.host, options.port) as server:
         viewer = Viewer(server, cells, options.width)
         try:
@@ -52,6 +68,8 @@ def _show(options: argparse.Namespace) -> int:
             say(f"{', '.join(cells)}: {address} (Ctrl-C ends it)")
             if not options.no_open and has_screen():
                 webbrowser.open_new_tab(address)
+            while follower is not None:
+                viewer.replace(follower.next(viewer.wait))
             viewer.wait()
         finally:
             viewer.close()

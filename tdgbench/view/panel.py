@@ -79,9 +79,8 @@ class Panel:
         first = next(iter(cells.values()))
         self.views = [*sorted(first.test), *sorted(first.train)]
         self._labels = {view: f"{view} ({'test' if view in first.test else 'training'})" for view in self.views}
-        title = f"{first.record.dataset}/{first.record.scene}"
-        self.readout = gui.add_html(_line(title))
-        self._title = title
+        self.readout, self._value = gui.add_html(""), ""
+        self.show_value("")
         self._add_look(gui)
         self._add_views(gui)
 
@@ -98,14 +97,23 @@ class Panel:
             guesses=self._guesses.value,
         )
 
+    def remove(self) -> None:
+        """Remove the controls."""
+        for part in (self.readout, self._picture, self._stand):
+            part.remove()
+
     def describe(self, frame: RenderedLook) -> None:
         """Bring the colour bar and the choices up to date with a frame."""
+        self.show_value(self._value)
         self._bar.content = color_bar(frame, self.cells)
         self._colors.visible = self._span.visible = frame.whole is not None
 
     def show_value(self, text: str) -> None:
-        """Show the value of the pixel that was clicked."""
-        self.readout.content = _line(self._title, text)
+        """Show the scene, the state of a followed cell, and the value of the pixel that was clicked."""
+        self._value, first = text, next(iter(self.cells.values()))
+        title = first.record.title if first.state else f"{first.record.dataset}/{first.record.scene}"
+        value = f'{escape(first.state)}<br><span id="tdgbench-value">{escape(text)}</span>'
+        self.readout.content = f'<div style="{STYLE};min-height:3.2em"><b>{escape(title)}</b><br>{value}</div>'
 
     def show_view(self, view: str) -> None:
         """Show the name and the stored pictures of the view that the camera stands at."""
@@ -126,7 +134,7 @@ class Panel:
         shown = [quantity for quantity in QUANTITIES if quantity in GEOMETRY or quantity in models]
         self._quantities = {LABELS.get(quantity, quantity): quantity for quantity in shown}
         several = len(names) > 1
-        with gui.add_folder("Picture"):
+        with gui.add_folder("Picture") as self._picture:
             self._cell = gui.add_dropdown("Cell", names, visible=several)
             self._beside = gui.add_dropdown(
                 "Beside", [ALONE, *names], initial_value=names[1] if several else ALONE, visible=several
@@ -142,7 +150,7 @@ class Panel:
             control.on_update(lambda _: self._on_look())
 
     def _add_views(self, gui: viser.GuiApi) -> None:
-        with gui.add_folder("Views"):
+        with gui.add_folder("Views") as self._stand:
             self.cameras = gui.add_checkbox("Cameras", True)
             self._view = gui.add_dropdown("View", list(self._labels.values()))
             buttons = gui.add_button_group("", [PREVIOUS, NEXT])
@@ -159,12 +167,6 @@ class Panel:
         @buttons.on_click
         def _(_: viser.GuiEvent) -> None:
             self._on_step(1 if buttons.value == NEXT else -1)
-
-
-def _line(title: str, text: str = "") -> str:
-    """Return the scene, and the value of a pixel."""
-    value = f'<span id="tdgbench-value">{escape(text)}</span>'
-    return f'<div style="{STYLE};min-height:3.2em"><b>{escape(title)}</b><br>{value}</div>'
 
 
 def _fitted(picture: np.ndarray) -> np.ndarray:

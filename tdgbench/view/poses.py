@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import viser
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from tdgbench.bench.colours import in_colour
 from tdgbench.scenes import Camera
 from tdgbench.view.cells import ViewedCell
+
+if TYPE_CHECKING:
+    import viser
 
 ROOT = "/cameras"
 TEST_COLOR, TRAIN_COLOR = (255, 150, 40), (90, 160, 255)
@@ -50,10 +52,15 @@ def pose_of(camera: Camera, aspect: float) -> ViserPose:
     [1.0, 1.0, 2.0]
     """
     to_world = camera.world_to_camera[:3, :3].T
-    (fx, fy), (cx, cy) = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
-    vertical, horizontal = max(cy, camera.height - cy) / fy, max(cx, camera.width - cx) / fx
+    horizontal, vertical = reach_of(camera)
     fov = 2 * float(np.arctan(max(vertical, horizontal / aspect)))
     return ViserPose(np.roll(Rotation.from_matrix(to_world).as_quat(), 1), camera.center, fov)
+
+
+def reach_of(camera: Camera) -> tuple[float, float]:
+    """Return how far a camera's image reaches from its optical axis, in x and in y, at z = 1."""
+    (fx, fy), (cx, cy) = camera.K[[0, 1], [0, 1]], camera.K[:2, 2]
+    return float(max(cx, camera.width - cx) / fx), float(max(cy, camera.height - cy) / fy)
 
 
 def up_direction(cameras: Iterable[Camera]) -> np.ndarray:
@@ -104,6 +111,10 @@ class Frustums:
     def show(self, visible: bool) -> None:
         """Show or hide all cameras."""
         self._root.visible = visible
+
+    def remove(self) -> None:
+        """Remove all cameras."""
+        self._root.remove()
 
     def leave_out(self, view: str) -> None:
         """Hide the camera that the viewer stands at, whose picture would cover everything."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -96,8 +95,12 @@ class RenderedLook:
 class Renderer:
     """A renderer of cells of one scene with the splat core; not for several threads at a time."""
 
-    def __init__(self, cells: Mapping[str, ViewedCell]) -> None:
+    def __init__(self, cells: dict[str, ViewedCell]) -> None:
         self.cells = cells
+        self.forget()
+
+    def forget(self) -> None:
+        """Read the cells anew."""
         self._models: dict[tuple[str, str], GaussianTensors] = {}
         self._determinacy: dict[str, Determinacy] = {}
         self._depth_range: tuple[float, float] | None = None

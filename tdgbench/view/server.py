@@ -33,7 +33,9 @@ class Viewer:
     def __init__(self, server: viser.ViserServer, cells: dict[str, ViewedCell], width: int) -> None:
         first = next(iter(cells.values()))
         self._shown = Shown(cells, thumbnails(first), width)
-        self._requests: Requests[Wanted] = Requests()
+        self._server, self._requests = server, Requests[Wanted]()
+        self._sessions: dict[int, Session] = {}  # by client
+        self._turn = threading.Lock()  # of the cells
         self._renderer, self._pace = Renderer(cells), Pace()
         self._error: Exception | None = None
         self._ended = threading.Event()
@@ -43,14 +45,29 @@ class Viewer:
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="large")
         server.gui.main_panel.dock_right()
         server.on_client_connect(self._welcome)
-        server.on_client_disconnect(lambda client: self._requests.forget(client.client_id))
+        server.on_client_disconnect(self._forget)
         self._worker.start()
 
-    def wait(self) -> None:
-        """Serve until `close`. Raises an error of the rendering thread."""
-        self._ended.wait()
+    def wait(self, seconds: float | None = None) -> None:
+        """Serve for some seconds or until `close`. Raises an error of the rendering thread."""
+        self._ended.wait(seconds)
         if self._error is not None:
             raise self._error
+
+    def replace(self, cells: dict[str, ViewedCell]) -> None:
+        """Show newer states of the cells, or others of the same names, whose pages begin anew."""
+        new, old = next(iter(cells.values())), next(iter(self._shown.cells.values()))
+        with self._turn:
+            self._shown.cells.update(cells)
+            self._renderer.forget()
+        if new.record.title != old.record.title:
+            self._shown = self._shown._replace(thumbnails=thumbnails(new))
+            self._server.scene.set_up_direction(up_direction(new.cameras.values()))
+        for session in list(self._sessions.values()):
+            if new.record.title == old.record.title:
+                session.refresh()
+            else:
+                session.begin(self._shown)
 
     def close(self) -> None:
         """End the rendering thread."""
@@ -59,7 +76,11 @@ class Viewer:
         self._ended.set()
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        Session(client, self._shown, self._requests)
+        self._sessions[client.client_id] = Session(client, self._shown, self._requests)
+
+    def _forget(self, client: viser.ClientHandle) -> None:
+        self._sessions.pop(client.client_id, None)
+        self._requests.forget(client.client_id)
 
     def _work(self) -> None:
         try:
@@ -73,7 +94,10 @@ class Viewer:
         wanted, start = request.wanted, time.perf_counter()
         size = (wanted.width, wanted.height)
         size = size if request.is_fine else self._pace.coarse(*size)
-        frame = self._renderer.render(wanted.look, camera_of(wanted.pose, *size))
+        with self._turn:
+            if not self._renderer.has(wanted.look.cell, wanted.look.quantity):  # of cells shown before
+                return
+            frame = self._renderer.render(wanted.look, camera_of(wanted.pose, *size))
         if request.is_fine and not self._requests.is_newest(request):
             return
         wanted.session.show(frame, request.is_fine)

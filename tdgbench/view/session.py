@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import ExitStack
 from typing import NamedTuple
 
 import numpy as np
@@ -40,21 +41,30 @@ class Session:
     """A connected browser: its camera, controls and pictures."""
 
     def __init__(self, client: viser.ClientHandle, shown: Shown, requests: Requests[Wanted]) -> None:
-        self.client, self._requests, self._cells, self._width = client, requests, shown.cells, shown.width
-        self._first = next(iter(shown.cells.values()))
-        self._focus = focus(self._first.cameras.values())
-        self._frame: RenderedLook | None = None
-        self._clicked: tuple[float, float] | None = None
+        self.client, self._requests, self._width = client, requests, shown.width
         self._turn = threading.RLock()  # viser calls from several threads at once
-        self.panel = Panel(client.gui, shown.cells, self._look_changed, self.go_to, self.step)
-        self._view, self._aspect = self.panel.views[0], 0.0  # the last view that it was sent to, in which window
-        self._left = self._view  # the one before
-        self._frustums = Frustums(client.scene, self._first, shown.thumbnails, self.go_to)
-        self.panel.cameras.on_update(lambda _: self._frustums.show(self.panel.cameras.value))
+        self._parts = ExitStack()  # what is on the page
+        self.begin(shown)
         client.camera.on_update(lambda _: self._moved())
         client.scene.on_click()(lambda event: self.read_at(*event.screen_pos))
-        self.go_to(self._view)
-        self._look_changed()
+
+    def begin(self, shown: Shown) -> None:
+        """Show cells, in the place of others, from their first view on."""
+        with self._turn:
+            self._parts.close()
+            self._cells, self._first = shown.cells, next(iter(shown.cells.values()))
+            self._focus = focus(self._first.cameras.values())
+            self._frame: RenderedLook | None = None
+            self._clicked: tuple[float, float] | None = None
+            self.panel = Panel(self.client.gui, shown.cells, self.refresh, self.go_to, self.step)
+            self._view, self._aspect = self.panel.views[0], 0.0  # the last view that it was sent to, in which window
+            self._left = self._view  # the one before
+            self._frustums = Frustums(self.client.scene, self._first, shown.thumbnails, self.go_to)
+            self.panel.cameras.on_update(lambda _: self._frustums.show(self.panel.cameras.value))
+            self._parts.callback(self.panel.remove)
+            self._parts.callback(self._frustums.remove)
+            self.go_to(self._view)
+            self.refresh()
 
     def step(self, count: int) -> None:
         """Move the camera that many views on from the last one that it was sent to, in a circle."""
@@ -117,7 +127,8 @@ class Session:
         away = np.linalg.norm(self.client.camera.position - center)
         return bool(away < STANDS_AT * np.linalg.norm(self._focus - center))
 
-    def _look_changed(self) -> None:
+    def refresh(self) -> None:
+        """Render anew."""
         self._requests.changed(self.client.client_id, self._wanted())
 
     def _wanted(self) -> Wanted:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
-import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -19,32 +17,23 @@ from tdgbench.bench.record import Failure
 from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
 from tdgbench.terminal import printable
+from tests.helpers.browser import CHROMIUM, opened
 from tests.helpers.records import published_as_records, write, write_ablation
 
-CHROMIUM = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
-PROBE = """
-<script>
-const errors = [];
-window.addEventListener("error", e => errors.push(e.message));
-</script>
-"""
-ACT = """
-<script>
-const input = document.querySelector(".slider input");
-input.value = 80;
-input.dispatchEvent(new Event("input"));
-const head = document.querySelectorAll("#scores th")[3];
-const rows = () => [...document.querySelectorAll("#scores tbody tr")];
-const column = () => rows().map(r => r.cells[3].dataset.sort).filter(x => x);
-head.click(); const up = column();
-head.click(); const down = column();
-const result = {
-  clip: document.querySelector(".slider .over").style.clipPath, up, down, errors,
-  pictures: [...document.images].every(i => i.complete && i.naturalWidth > 0),
-};
-document.body.innerHTML = `<pre id="result">${JSON.stringify(result)}</pre>`;
-</script>
-"""
+ACT = """(() => {
+  const input = document.querySelector(".slider input");
+  input.value = 80;
+  input.dispatchEvent(new Event("input"));
+  const head = document.querySelectorAll("#scores th")[3];
+  const column = () => {
+    head.click();
+    return [...document.querySelectorAll("#scores tbody tr")].map(r => r.cells[3].dataset.sort).filter(x => x);
+  };
+  return {
+    clip: document.querySelector(".slider .over").style.clipPath, up: column(), down: column(),
+    pictures: [...document.images].every(i => i.complete && i.naturalWidth > 0),
+  };
+})()"""
 
 
 @pytest.fixture(scope="module")
@@ -183,22 +172,11 @@ def test_what_cannot_be_read_is_na_on_the_page(small_results, tmp_path, name, sp
 
 @pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
 def test_it_lives_in_a_browser(page, tmp_path):
-    text = page.read_text().replace("<head>", f"<head>{PROBE}").replace("</body>", f"{ACT}</body>")
-    probe = tmp_path / "probe.html"
-    probe.write_text(text)
-    quiet = ("background-networking", "component-update", "sync")
-    call = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--virtual-time-budget=3000",
-            *(f"--disable-{what}" for what in quiet), f"--user-data-dir={tmp_path / 'profile'}"]  # fmt: skip
-    run = subprocess.run([*call, "--dump-dom", probe.as_uri()], capture_output=True, text=True, timeout=120)
-    found = re.search(r'<pre id="result">(.*?)</pre>', run.stdout, re.DOTALL)
-    assert found, run.stderr[-2000:]
-    result = json.loads(found[1].replace("&amp;", "&"))
-    assert result["errors"] == [] and result["pictures"] and "80%" in result["clip"]
+    with opened(page.as_uri(), tmp_path / "profile", 1280, 2400) as browser:
+        browser.wait_for("!!document.querySelector('#scores') && document.readyState === 'complete'")
+        assert browser.screenshot(page.with_name("report.png")).std() > 20
+        result = browser.run(ACT)
+        assert [event for event in browser.events if event["method"] == "Runtime.exceptionThrown"] == []
+    assert result["pictures"] and "80%" in result["clip"]
     numbers = [float(x) for x in result["up"]]
     assert numbers == sorted(numbers) and [float(x) for x in result["down"]] == sorted(numbers, reverse=True)
-    shot = page.with_name("report.png")
-    subprocess.run(
-        [*call, f"--screenshot={shot}", "--window-size=1280,2400", page.as_uri()], check=True, timeout=120,
-        capture_output=True,
-    )  # fmt: skip
-    assert shot.stat().st_size > 20_000

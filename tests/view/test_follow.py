@@ -1,0 +1,134 @@
+"""`tdgbench view --follow` shows what a training has reached, bit by bit, then its result, and what it waits for."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+import torch
+from rich.console import Console
+
+from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.run_cell import run_cell
+from tdgbench.training.checkpoint import Checkpoint
+from tdgbench.view.cells import open_cell
+from tdgbench.view.command import main
+from tdgbench.view.follow import Follower
+from tests.helpers.browser import CHROMIUM, opened
+from tests.helpers.configs import QUICK, SMALL, config
+from tests.helpers.paths import ROOT
+from tests.helpers.waiting import waited
+
+
+@pytest.mark.parametrize(("method", "more"), [("msmg", ["budget.background=mean"]), ("thermal3dgs", [])])
+def test_the_state_is_that_of_the_training(method, more, tmp_path, data_root, monkeypatch):
+    """Of Gaussians in two modalities over a background, and of a method with networks."""
+    experiment, write_if_due, found = tmp_path / "single", Checkpoint.write_if_due, []
+
+    def write_and_look(self, log):
+        self._next = 0.0
+        write_if_due(self, log)
+        if log.iterations in (5, 9):
+            found.append(follower.next(pytest.fail)["single"])
+            view, trainer = next(iter(found[-1].train)), self._trainer
+            (frame,) = [trainer.context.frame(one) for one in trainer.context.scene.train if one.name == view]
+            for modality in trainer.method.modalities:
+                shown = found[-1].method.render_from(frame.camera, modality, view)
+                assert torch.equal(shown.image, trainer.method.render(frame, modality).image)
+
+    monkeypatch.setattr(Checkpoint, "write_if_due", write_and_look)
+    experiment.mkdir()
+    follower = Follower(experiment)
+    cfg = config(
+        *QUICK, f"method={method}", "scene=turntable", f"data.root={data_root}", f"results={tmp_path}", "checkpoint=0",
+        *more,
+    )  # fmt: skip
+    assert run_cell(cfg, "", CellProgress(Console(quiet=True), 12)).status == "ok"
+    assert [cell.state.split(",")[0] for cell in found] == ["iteration 5", "iteration 9"]
+    assert found[0].record.title.startswith(f"{method} on synthetic/turntable") and found[0].degC is not None
+    last = follower.next(pytest.fail)["single"]
+    assert last.state.startswith("finished after 12 iterations, ") and last.models.keys() == found[0].models.keys()
+    assert list((experiment / "running").iterdir()) == []
+
+
+def test_a_training_that_cannot_be_announced_goes_on(tmp_path, data_root):
+    (tmp_path / "single").mkdir()
+    (tmp_path / "single" / "running").write_text("in the way")
+    cfg = config(*QUICK, "method=3dgs", "scene=turntable", f"data.root={data_root}", f"results={tmp_path}")
+    outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 12))
+    assert outcome.status == "ok" and "tdgbench view --follow cannot show it: " in outcome.message
+
+
+def test_a_real_training_is_followed_until_it_ends(tmp_path, data_root, capsys):
+    words = [*SMALL, "budget=demo", "prior=synthetic", "budget.iterations=1000000", "budget.plateau=null"]
+    words += ["checkpoint=0.2", "method=3dgs", "scene=turntable", f"data.root={data_root}"]
+    experiment = tmp_path / "results" / "single"
+    experiment.mkdir(parents=True)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    follower, run = Follower(experiment), None
+
+    def start_or_wait(seconds):
+        nonlocal run
+        if run is None:
+            run = subprocess.Popen([sys.executable, "-m", "tdgbench", *words], cwd=tmp_path, env=environment)
+        assert run.poll() is None
+        time.sleep(0.1)
+
+    try:
+        states = [follower.next(start_or_wait)["single"].state for _ in range(3)]
+        run.send_signal(signal.SIGINT)
+        run.wait(60)
+        last = follower.next(pytest.fail)["single"]
+    finally:
+        if run is not None:
+            run.kill()
+    iterations = [int(state.split()[1].rstrip(",").replace(",", "")) for state in states]
+    assert iterations == sorted(set(iterations)) and all(" Gaussians at " in state for state in states)
+    assert last.state == "it has no result, and does not run"
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == f"no cell of {experiment} runs or is finished"
+    assert said[-1] == f"{last.record.title}: {last.state}" and len(said) >= 5
+
+
+def test_a_cell_without_a_checkpoint_and_a_folder_that_is_none(small_results, tdg_folder, capsys):
+    finished = Follower(small_results).next(pytest.fail)["single"]
+    assert finished.state.startswith("finished after 30 iterations, ") and finished.method is None
+    assert main(["--follow", str(small_results / "nothing")]) == 1
+    assert main(["--follow", str(tdg_folder), str(tdg_folder)]) == 1
+    err = capsys.readouterr().err.splitlines()
+    assert (
+        err[0] == f"tdgbench view: {small_results / 'nothing'} is no folder; name that of an experiment, results/<name>"
+    )
+    assert err[1] == "tdgbench view: --follow takes one folder, not 2"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_the_page_shows_newer_states_and_the_next_cell(tdg_folder, colour_folder, tmp_path):
+    pytest.importorskip("viser")
+    from tdgbench.view.server import Viewer, serving
+
+    cell, other = open_cell(tdg_folder), open_cell(colour_folder)
+    with serving("127.0.0.1", None) as server:
+        viewer = Viewer(server, {"single": replace(cell, state="iteration 1")}, 640)
+        try:
+            with opened(f"http://127.0.0.1:{server.get_port()}", tmp_path / "profile") as page:
+                text = "document.getElementById('tdgbench-value')?.parentElement.innerText.trim()"
+                page.wait_for(f"({text})?.endsWith('iteration 1')", 90)
+                pictures = [page.screenshot()]
+                viewer.replace({"single": replace(cell, state="iteration 2")})
+                page.wait_for(f"({text})?.endsWith('iteration 2')", 60)
+                viewer.replace({"single": replace(other, state="iteration 3")})
+                page.wait_for(f"{text} === {other.record.title + chr(10) + 'iteration 3'!r}", 60)
+                (client,) = server.get_clients().values()
+                first = other.test[min(other.test)]
+                waited(lambda: abs(client.camera.position - first.center).max() < 0.01, 60, "the camera is there")
+                waited(lambda: abs(page.screenshot().astype(int) - pictures[0]).mean() > 5, 60, "its picture is shown")
+                assert page.run("document.querySelectorAll('#tdgbench-value').length") == 1
+        finally:
+            viewer.close()
