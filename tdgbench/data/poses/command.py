@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tdgbench.data.poses.compare import compare
-from tdgbench.data.poses.references import READ, Pose, read_poses
+from tdgbench.data.poses.references import READ, Pose, read_reference
 from tdgbench.terminal import say
 
 
@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print how far the scene's poses are from the reference's."""
-    scene, reference = read_poses(arguments.scene), read_poses(arguments.reference)
+    scene, reference = (read_reference(path).poses for path in (arguments.scene, arguments.reference))
     result = compare(scene, reference)
     say(f"views: {len(result.position)} in both, of {len(scene)} and {len(reference)}; similarity of {result.fitted}")
     if result.rotation is None:

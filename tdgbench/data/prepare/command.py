@@ -28,11 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mapping", nargs=3, type=_number, metavar=("RATIO", "X", "Y"),
                         help="thermal covers 1/RATIO of the RGB width, its centre X, Y px off")  # fmt: skip
     parser.add_argument("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
-    parser.add_argument("--width", type=_positive, metavar="PX", help="of the output; default: the thermal resolution")
-    parser.add_argument("--range", nargs=2, type=_number, metavar=("MIN", "MAX"),
-                        help="°C of image values 0 and 1; default: percentiles 0.1 and 99.9")  # fmt: skip
     parser.add_argument("--sfm", choices=("rgb", "thermal"), default="rgb",
                         help="images that COLMAP sees; thermal: RGB images are neither needed nor written")  # fmt: skip
+    parser.add_argument("--poses", type=Path, metavar="FILE",
+                        help="of these images: Metashape, OpenSfM, nerfstudio, COLMAP (docs/data.md)")  # fmt: skip
     parser.add_argument("--focal", type=_number, metavar="PX", help="focal length of these images; default: estimated")
     parser.add_argument("--calibration", type=Path, metavar="FILE",
                         help="lens of these images, by Metashape, OpenCV or COLMAP (docs/data.md)")  # fmt: skip
@@ -40,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="begin with --focal or --calibration; default: they are kept")  # fmt: skip
     parser.add_argument("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
     parser.add_argument("--matching", choices=get_args(Matching), default="exhaustive",
-                        help="sequential: neighbours by name, for videos; nearest: by GPS, else time")  # fmt: skip
+                        help="sequential: neighbours by name, for videos; nearest: by GPS or --poses")  # fmt: skip
     parser.add_argument("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", help="of these images")
     parser.add_argument("--seed", type=int, default=0, help="of COLMAP; equal results need --threads 1, too")
     parser.add_argument("--threads", type=_positive, help="of COLMAP; default: all processors")
@@ -62,12 +61,12 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
         raise SceneError("--mapping and --homography both say where the thermal image lies; give one of them")
     if arguments.degC_per_count == 0:
         raise SceneError("--degC-per-count is 0; it must be the °C of one count")
-    if arguments.range is not None and not arguments.range[0] < arguments.range[1]:
-        raise SceneError("--range: MIN must be below MAX")
     if arguments.focal is not None and arguments.focal <= 0:
         raise SceneError("--focal must be positive: the focal length in px")
     if arguments.sfm == "thermal" and (arguments.no_sfm or arguments.mapping or arguments.homography):
         raise SceneError("--sfm thermal has no RGB images: --no-sfm, --mapping and --homography are about them")
+    if arguments.poses is not None and arguments.no_sfm:
+        raise SceneError("--poses and --no-sfm contradict each other; give one of them")
     if arguments.focal is not None and arguments.calibration is not None:
         raise SceneError("--focal and --calibration both state the focal length; give one of them")
     if arguments.refine and arguments.focal is None and arguments.calibration is None:
@@ -82,9 +81,8 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
         counts=CountScale(arguments.degC_per_count, arguments.degC_at_zero),
         mapping=None if arguments.mapping is None else PhotoMapping(*arguments.mapping),
         homography=arguments.homography,
-        width=arguments.width,
-        range=None if arguments.range is None else (arguments.range[0], arguments.range[1]),
         sfm=None if arguments.no_sfm else sfm,
+        poses=arguments.poses,
     )
 
 

@@ -32,8 +32,7 @@ class Report:
     rgb_size: tuple[int, int] | None = None
     thermal_size: tuple[int, int] | None = None
     size: tuple[int, int] | None = None
-    temperature: tuple[float, float] | None = None
-    clipped: float | None = None  # share of measured pixels outside of `temperature`
+    temperature: tuple[float, float] | None = None  # of image values 0 and 1, where images show them
     camera: str | None = None
     models: list[int] = field(default_factory=list)  # registered images of each model that COLMAP found
     error_px: float | None = None
@@ -74,14 +73,12 @@ class Report:
             lines.append(f"  {', '.join(named)}")
         if self.temperature is not None:
             low, high = self.temperature
-            clipped = "" if not self.clipped else f"; {100 * self.clipped:.2g} % of the pixels are outside"
-            lines.append(f"  temperatures {low:.2f} to {high:.2f} °C (temperature.json){clipped}")
-        if self.models:
+            lines.append(f"  temperatures {low:.2f} to {high:.2f} °C (temperature.json)")
+        if self.camera is not None:
             others = f"; smaller models: {', '.join(map(str, self.models[1:]))} images" if self.models[1:] else ""
-            lines.append(
-                f"  COLMAP registers {self.models[0]} images: {self.points} points, {self.error_px:.2f} px, "
-                f"{self.camera}{others}"
-            )
+            poses = f"COLMAP registers {self.models[0]} images" if self.models else "known poses"
+            error = "" if self.error_px is None else f"{self.error_px:.2f} px, "
+            lines.append(f"  {poses}: {self.points} points, {error}{self.camera}{others}")
         if isinstance(self.edge_offset, dict):
             offset = self.edge_offset
             lines.append(

@@ -28,8 +28,7 @@ def test_command_says_what_it_does(tmp_path, small_gray_scene):
         ("--mapping", "1", "0", "0", "--homography", "H.txt"),
         ("--degC-per-count", "0"),
         ("--degC-per-count", "nan"),
-        ("--range", "20", "10"),
-        ("--width", "0"),
+        ("--threads", "0"),
         ("--matching", "none"),
     ],
 )
