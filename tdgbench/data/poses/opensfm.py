@@ -19,14 +19,13 @@ FRAMES = "perspective", "simple_radial", "radial", "brown"  # cameras that OpenC
 COEFFICIENTS = "k1", "k2", "p1", "p2", "k3"
 
 
-def shot_poses(model: Mapping[str, Any]) -> dict[str, tuple[np.ndarray, float, int]]:
-    """Return world to camera (4, 4), focal length in px and width in px by image."""
+def shot_poses(model: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Return world to camera (4, 4) by image."""
     poses = {}
     for name, shot in model["shots"].items():
-        lens, pose = model["cameras"][shot["camera"]], np.eye(4)
+        pose = poses[name] = np.eye(4)
         pose[:3, :3] = Rotation.from_rotvec(shot["rotation"]).as_matrix()
         pose[:3, 3] = shot["translation"]
-        poses[name] = pose, _focal(lens, "x"), lens["width"]
     return poses
 
 
@@ -34,14 +33,18 @@ def shot_lenses(model: Mapping[str, Any]) -> list[CameraEntry]:
     """Return the cameras as COLMAP's FULL_OPENCV. Raises SceneError for what that model cannot say."""
     found = []
     for name in sorted({shot["camera"] for shot in model["shots"].values()}):
-        lens = model["cameras"][name]
-        kind, width, height = lens.get("projection_type"), lens["width"], lens["height"]
-        if kind not in FRAMES:
-            raise SceneError(f"OpenSfM's camera {name!r} is {kind}; give one that is {', '.join(FRAMES)}")
-        centre = (side / 2 + lens.get(key, 0.0) * max(width, height) for side, key in ((width, "c_x"), (height, "c_y")))
-        distortion = (float(lens.get(key, 0.0)) for key in COEFFICIENTS)
-        params = _focal(lens, "x"), _focal(lens, "y"), *centre, *distortion, 0.0, 0.0, 0.0
-        found.append(CameraEntry(1, "FULL_OPENCV", width, height, params))
+        try:
+            lens = model["cameras"][name]
+            if lens["projection_type"] not in FRAMES:
+                raise ValueError(f"it is none of {', '.join(FRAMES)}")
+            width, height = lens["width"], lens["height"]
+            unit = max(width, height)
+            f = [float(lens[key] if key in lens else lens["focal"]) * unit for key in ("focal_x", "focal_y")]
+            centre = width / 2 + lens.get("c_x", 0.0) * unit, height / 2 + lens.get("c_y", 0.0) * unit
+            distortion = (float(lens.get(key, 0.0)) for key in COEFFICIENTS)
+            found.append(CameraEntry(1, "FULL_OPENCV", width, height, (*f, *centre, *distortion, 0.0, 0.0, 0.0)))
+        except (KeyError, TypeError, ValueError) as error:
+            raise SceneError(f"OpenSfM's camera {name!r} cannot be read: {error!r}; export it again") from error
     return found
 
 
@@ -55,8 +58,3 @@ def model_points(model: Mapping[str, Any]) -> PointCloud | None:
         raise ValueError("a point is not finite")
     colors = np.array([point["color"] for point in points], np.float32) / np.float32(255)
     return PointCloud(xyz, colors)
-
-
-def _focal(lens: Mapping[str, Any], axis: str) -> float:
-    share = lens[f"focal_{axis}"] if f"focal_{axis}" in lens else lens["focal"]
-    return float(share) * max(lens["width"], lens["height"])

@@ -23,18 +23,13 @@ from tdgbench.scenes.validate import check_pose
 READ = "a scene, a COLMAP model, transforms.json, reconstruction.json, or Metashape's .xml, chunk.zip, .txt"
 
 
-class Pose(NamedTuple):
-    """A view's pose in OpenCV axes, and what is known of its lens."""
-
-    world_to_camera: np.ndarray  # (4, 4)
-    focal: float | None = None  # px
-    width: int | None = None  # px, of the image
-
-
 class Reference(NamedTuple):
-    """What another program found. poses: by view name. lenses: raises SceneError for one that COLMAP cannot say."""
+    """What another program found. poses: world to camera (4, 4) in OpenCV axes, by view name.
 
-    poses: dict[str, Pose]
+    lenses: none if they are not stated; raises SceneError for one that COLMAP cannot say.
+    """
+
+    poses: dict[str, np.ndarray]
     lenses: Callable[[], list[CameraEntry]] = list
     points: PointCloud | None = None
 
@@ -51,30 +46,27 @@ def read_reference(path: Path) -> Reference:
     elif suffix == ".json":
         reference = _read_json(path)
     elif suffix == ".txt":
-        reference = Reference({name: Pose(pose) for name, pose in table_poses(path).items()})
+        reference = Reference(table_poses(path))
     elif suffix in (".xml", ".zip"):
         root = read_xml(path)
-        poses = {name: Pose(*pose) for name, pose in chunk_poses(root, path).items()}
-        reference = Reference(poses, lambda: lenses(root, path))
+        reference = Reference(chunk_poses(root, path), lambda: lenses(root, path))
     else:
         raise SceneError(f"{regular_file(path)} holds no poses that are read here; give {READ}")
     if not reference.poses:
         raise SceneError(f"{path} has no registered view; align the images first, and export again")
-    named: dict[str, Pose] = {}
+    named: dict[str, np.ndarray] = {}
     for name, pose in reference.poses.items():
         file = PurePosixPath(name.replace("\\", "/"))
         view = file.stem if file.suffix.lower() in SUFFIXES else file.name
         if view in named:
             raise SceneError(f"{path} has two views named {view}; keep one of them")
-        check_pose(pose.world_to_camera, f"{path}: view {view}")
+        check_pose(pose, f"{path}: view {view}")
         named[view] = pose
     return reference._replace(poses=named)
 
 
 def _of_images(images: list[RegisteredImage], points: PointCloud | None) -> Reference:
-    """Return poses of a model's images, whose distorted cameras have become pinholes of the same focal length."""
-    cameras = {image.name: image.camera for image in images}
-    poses = {name: Pose(one.world_to_camera, float(one.K[0, 0]), one.width) for name, one in cameras.items()}
+    poses = {image.name: image.camera.world_to_camera for image in images}
     return Reference(poses, lambda: list(dict.fromkeys(map(_lens, images))), points)
 
 
@@ -93,8 +85,7 @@ def _read_json(path: Path) -> Reference:
         if isinstance(content, dict):
             return _of_transforms(path)
         model = max(content, key=lambda one: len(one["shots"]))
-        poses = {name: Pose(*pose) for name, pose in shot_poses(model).items()}
-        return Reference(poses, lambda: shot_lenses(model), model_points(model))
+        return Reference(shot_poses(model), lambda: shot_lenses(model), model_points(model))
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise SceneError(
             f"{path} is no reconstruction.json of OpenSfM or transforms.json: {error!r}; export it again"

@@ -49,9 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Prepare a scene and print its report. Exit status 0 if every file is in the scene, else 1."""
     report = prepare_scene(arguments.source, arguments.out, _options(arguments))
     say(report.text().rstrip())
-    if arguments.no_sfm:
-        return 0 if report.is_complete else 1
-    say(f"train: tdgbench method=3dgs dataset=folder data.root={arguments.out}")
+    if not arguments.no_sfm:
+        say(f"check: tdgbench data check {arguments.out}")
+        say(f"train: tdgbench method=3dgs dataset=folder data.root={arguments.out}")
     return 0 if report.is_complete else 1
 
 

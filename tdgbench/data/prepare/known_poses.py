@@ -65,7 +65,7 @@ def known_poses(path: Path, reference: Reference, capture: Capture, report: Repo
             f"{FEWEST_IMAGES} are needed. Rename the images as there, without folders and extensions"
         )
     capture.names = {view: name for view, name in capture.names.items() if view in found}
-    poses = {name: reference.poses[found[view]].world_to_camera for view, name in capture.names.items()}
+    poses = {name: reference.poses[found[view]] for view, name in capture.names.items()}
     report.assumptions.append(f"poses are those of {path}, in its world")
     if len(found) < len(reference.poses):
         report.assumptions.append(

@@ -11,7 +11,6 @@ import pycolmap
 from PIL import Image
 from pydantic import ConfigDict, TypeAdapter
 
-from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
 from tdgbench.data.new_folder import new_folder
 from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare.calibration import checked_lenses, exif_focal
@@ -80,7 +79,7 @@ def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, 
     elif structure is None:
         report.assumptions.append("images are not undistorted, without a model: run COLMAP on rgb/, into sparse/0")
     report.size = grid.size
-    _write_views(part, capture, (grid, mapping, own), report)
+    _write_views(part, capture, grid, mapping, own, report)
     if not capture.kind.is_celsius:
         _write_known_range(folder, part, report)
     if structure is not None:
@@ -197,16 +196,10 @@ def _note_structure(structure: Structure, capture: Capture, report: Report) -> N
 
 
 def _write_views(
-    part: Path, capture: Capture, place: tuple[Grid, Mapping, dict[str, Mapping]], report: Report
-) -> None:  # fmt: skip
-    """Resample and write the views that are in the scene, and measure the offset of their edges.
-
-    place: the grid, the mapping of thermal images, and the views that have another one.
-    """
-    grid, mapping, own = place
+    part: Path, capture: Capture, grid: Grid, mapping: Mapping, own: dict[str, Mapping], report: Report
+) -> None:
+    """Resample and write the views that are in the scene. mapping: of thermal images but those of `own`, by view."""
     written = [one for one in report.files if one.status == "written"]
-    sampled = chosen_views(len(written))
-    pairs: list[ViewPair] = []
     with step("views to write", len(written)) as count:
         for index, one in enumerate(written):
             photo = capture.rgb(one.view)
@@ -216,11 +209,7 @@ def _write_views(
                 raise SceneError(f"{one.file}: no measured pixel lies inside the scene's images; leave the view out")
             one.invalid = float(1 - valid.mean())
             _write_view(part, one.view, rgb, thermal, valid)
-            if index in sampled and rgb is not None:
-                pairs.append(ViewPair(rgb, np.atleast_3d(thermal).astype(np.float32), valid))
             count(index + 1)
-    offset = "no RGB images" if capture.kind.is_thermal_alone else edge_offset(pairs)
-    report.edge_offset = {**offset._asdict(), "px": offset.px} if isinstance(offset, Offset) else offset
 
 
 def _write_known_range(folder: Path, part: Path, report: Report) -> None:

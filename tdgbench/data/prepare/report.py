@@ -37,7 +37,6 @@ class Report:
     models: list[int] = field(default_factory=list)  # registered images of each model that COLMAP found
     error_px: float | None = None
     points: int | None = None
-    edge_offset: dict[str, float] | str | None = None  # of thermal edges from RGB edges; a string says why unknown
 
     def count(self, status: Status) -> int:
         return sum(file.status == status for file in self.files)
@@ -79,12 +78,4 @@ class Report:
             poses = f"COLMAP registers {self.models[0]} images" if self.models else "known poses"
             error = "" if self.error_px is None else f"{self.error_px:.2f} px, "
             lines.append(f"  {poses}: {self.points} points, {error}{self.camera}{others}")
-        if isinstance(self.edge_offset, dict):
-            offset = self.edge_offset
-            lines.append(
-                f"  thermal edges lie {offset['px']:.1f} ± {offset['spread']:.1f} px from RGB edges "
-                f"(x {offset['x']:+.1f}, y {offset['y']:+.1f})"
-            )
-        elif self.edge_offset is not None:
-            lines.append(f"  offset of thermal from RGB edges: n/a ({self.edge_offset})")
         return lines

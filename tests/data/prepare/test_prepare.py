@@ -8,12 +8,13 @@ import pycolmap
 import pytest
 from PIL import Image, TiffImagePlugin
 
+from tdgbench.data.poses.compare import compare
+from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare import prepare as module
 from tdgbench.data.prepare.contrast import picture
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions, Structure
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
-from tdgbench.scenes.colmap import read_model
 from tdgbench.scenes.radiometric import PhotoMapping, dji_counts, read_celsius
 from tdgbench.scenes.temperature import CountScale
 from tests.helpers.exif import degrees, exif_gps, write_placed
@@ -34,15 +35,16 @@ def capture(scene, folder, views=6):
     return folder
 
 
-def known_structure(scene, left_out=()):
-    """Stands in for COLMAP: the scene's own cameras, seen through some lens distortion."""
+def known_structure(scene, left_out=(), width=96, distortion=0.03, pictures=None):
+    """Stands in for COLMAP: the scene's own cameras, with lens distortion. pictures: the given ones are kept."""
 
     def reconstruct(images, names, work, options, positions=None):
+        if pictures is not None:
+            pictures.update({name: np.asarray(Image.open(images / name)) for name in names})
         views = scene.views[: len(names)]
-        K = views[0].camera.K
-        camera = pycolmap.Camera(
-            model="SIMPLE_RADIAL", width=96, height=72, params=[2 * K[0, 0], 2 * K[0, 2], 2 * K[1, 2], 0.03]
-        )
+        f, (x, y) = views[0].camera.K[0, 0] * width / 48, views[0].camera.K[:2, 2] * width / 48
+        model, params = ("SIMPLE_RADIAL", [f, x, y, distortion]) if distortion else ("SIMPLE_PINHOLE", [f, x, y])
+        camera = pycolmap.Camera(model=model, width=width, height=width * 3 // 4, params=params)
         poses = {
             name: view.camera.world_to_camera
             for name, view in zip(names, views, strict=True)
@@ -202,7 +204,7 @@ def test_dji_files_are_reported_with_the_remedy(tmp_path, small_gray_scene):
 @pytest.mark.parametrize("how", ["options", "file", "pairs"])
 def test_stated_temperatures_of_dji_counts(tmp_path, small_gray_scene, monkeypatch, how):
     """°C by options or temperature.json, with thermal images alone and beside RGB images."""
-    monkeypatch.setattr(module, "reconstruct", structure_of_thermal(small_gray_scene)[0])
+    monkeypatch.setattr(module, "reconstruct", known_structure(small_gray_scene, (), 48, 0))
     source = dji_capture(small_gray_scene, tmp_path / "camera")
     options = replace(THERMAL_ALONE if how != "pairs" else EXTRACT, pairs=("*_T.JPG", "*_V.png"))
     if how == "file":
@@ -233,15 +235,8 @@ def test_real_pairs_give_the_known_poses(tmp_path):
     report = prepare_scene(tmp_path / "camera", tmp_path / "scene", PrepareOptions())
     assert report.is_complete and report.models == [12] and report.error_px < 1
     scene = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None)
-    known = read_model(real / "sparse" / "0").images
-    ours = np.stack([view.camera.center for view in scene.views])
-    theirs = np.stack([known[view.name].camera.center for view in scene.views])
-    ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
-    u, stretch, vt = np.linalg.svd(theirs.T @ ours)
-    scale = stretch.sum() / np.square(ours).sum()
-    distance = np.linalg.norm(scale * ours @ (u @ vt).T - theirs, axis=1)
-    assert distance.max() < 0.02 * np.linalg.norm(theirs, axis=1).max()
-    assert scene.views[0].camera.K[0, 0] == pytest.approx(known[scene.views[0].name].camera.K[0, 0], rel=0.03)
+    result = compare(read_reference(tmp_path / "scene").poses, read_reference(real).poses)
+    assert result.position.max() < 0.01 and result.rotation.max() < 0.5
     assert scene.channels == 1 and scene.temperature.min == pytest.approx(11.584, abs=1e-3)
 
 
@@ -271,34 +266,17 @@ def test_each_view_has_the_mapping_that_its_file_states(tmp_path):
 THERMAL_ALONE = PrepareOptions(sfm=SfmOptions(images="thermal"))
 
 
-def structure_of_thermal(scene):
-    """Stands in for COLMAP: the scene's own cameras; the pictures that it is given are kept."""
-    pictures = {}
-
-    def reconstruct(images, names, work, options, positions=None):
-        pictures.update({name: np.asarray(Image.open(images / name)) for name in names})
-        views = scene.views[: len(names)]
-        K, size = views[0].camera.K, (views[0].camera.width, views[0].camera.height)
-        camera = pycolmap.Camera(
-            model="PINHOLE", width=size[0], height=size[1], params=[K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
-        )
-        poses = {name: view.camera.world_to_camera for name, view in zip(names, views, strict=True)}
-        return Structure(camera, poses, scene.points, 0.5, [len(poses)], Counter(), Counter())
-
-    return reconstruct, pictures
-
-
 def test_thermal_images_alone(tmp_path, small_gray_scene, monkeypatch):
     """No RGB image is needed; COLMAP sees pictures with contrast, the scene holds what was measured."""
-    reconstruct, pictures = structure_of_thermal(small_gray_scene)
-    monkeypatch.setattr(module, "reconstruct", reconstruct)
+    pictures = {}
+    monkeypatch.setattr(module, "reconstruct", known_structure(small_gray_scene, (), 48, 0, pictures))
     (tmp_path / "camera").mkdir()
     for view in small_gray_scene.views[:6]:
         counts = np.round(5000 + 300 * view.thermal[..., 0]).astype(np.uint16)
         Image.fromarray(counts).save(tmp_path / "camera" / f"{view.name}.tiff")
     report = prepare_scene(tmp_path / "camera", tmp_path / "scene", THERMAL_ALONE)
     assert report.is_complete and report.rgb_size is None and report.size == (48, 36)
-    assert report.edge_offset == "no RGB images" and "RGB 48" not in report.text()
+    assert "RGB 48" not in report.text()
     assert all(np.ptp(picture) > 200 for picture in pictures.values()) and len(pictures) == 6
     scene = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None)
     assert [view.name for view in scene.views] == [view.name for view in small_gray_scene.views[:6]]
@@ -308,7 +286,7 @@ def test_thermal_images_alone(tmp_path, small_gray_scene, monkeypatch):
 
 
 def test_nearest_matching_leaves_out_files_without_a_place(tmp_path, small_gray_scene, monkeypatch):
-    reconstruct, _ = structure_of_thermal(small_gray_scene)
+    reconstruct = known_structure(small_gray_scene, (), 48, 0)
     seen = []
     monkeypatch.setattr(module, "reconstruct", lambda *given: seen.append(given) or reconstruct(*given))
     (tmp_path / "camera").mkdir()
@@ -327,7 +305,7 @@ def test_nearest_matching_leaves_out_files_without_a_place(tmp_path, small_gray_
 @pytest.mark.parametrize("gain", ["0.04", "0.00"])
 def test_flir_tiff_states_its_temperatures(tmp_path, small_gray_scene, monkeypatch, gain):
     """With TLinear, the scene is in °C; without, it holds counts."""
-    monkeypatch.setattr(module, "reconstruct", structure_of_thermal(small_gray_scene)[0])
+    monkeypatch.setattr(module, "reconstruct", known_structure(small_gray_scene, (), 48, 0))
     (tmp_path / "camera").mkdir()
     directory = TiffImagePlugin.ImageFileDirectory_v2()
     directory[700] = f"<Camera:TlinearGain>{gain}</Camera:TlinearGain>".encode()
