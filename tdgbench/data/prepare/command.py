@@ -17,32 +17,29 @@ from tdgbench.terminal import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", type=Path, metavar="CAMERA_FILES", help="folder of them")
-    parser.add_argument("out", type=Path, metavar="OUT", help="the scene's folder, which must not exist")
-    parser.add_argument("--pairs", nargs=2, metavar=("THERMAL", "RGB"),
-                        help="names of the files, * stands for the view: '*_T.tiff' '*_V.jpg'")  # fmt: skip
-    parser.add_argument(
-        "--degC-per-count", type=_number, metavar="A", help="16-bit or DJI's counts: degC = counts × A + B"
-    )
-    parser.add_argument("--degC-at-zero", type=_number, default=0.0, metavar="B")
-    parser.add_argument("--mapping", nargs=3, type=_number, metavar=("RATIO", "X", "Y"),
-                        help="thermal covers 1/RATIO of the RGB width, its centre X, Y px off")  # fmt: skip
-    parser.add_argument("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
-    parser.add_argument("--sfm", choices=("rgb", "thermal"), default="rgb",
-                        help="images that COLMAP sees; thermal: RGB images are neither needed nor written")  # fmt: skip
-    parser.add_argument("--poses", type=Path, metavar="FILE",
-                        help="of these images: Metashape, OpenSfM, nerfstudio, COLMAP (docs/data.md)")  # fmt: skip
-    parser.add_argument("--focal", type=_number, metavar="PX", help="focal length of these images; default: estimated")
-    parser.add_argument("--calibration", type=Path, metavar="FILE",
-                        help="lens of these images, by Metashape, OpenCV or COLMAP (docs/data.md)")  # fmt: skip
-    parser.add_argument("--refine", action="store_true",
-                        help="begin with --focal or --calibration; default: they are kept")  # fmt: skip
-    parser.add_argument("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
-    parser.add_argument("--matching", choices=get_args(Matching), default="exhaustive",
-                        help="sequential: neighbours by name, for videos; nearest: by GPS or --poses")  # fmt: skip
-    parser.add_argument("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", help="of these images")
-    parser.add_argument("--seed", type=int, default=0, help="of COLMAP; equal results need --threads 1, too")
-    parser.add_argument("--threads", type=_positive, help="of COLMAP; default: all processors")
+    """Add the arguments of `tdgbench data prepare`, whose help fits on a screen of 24 lines and 80 columns."""
+    parser.usage = "tdgbench data prepare [options] CAMERA_FILES OUT"
+    parser.description = "Make a scene, the new folder OUT, of the files in the folder CAMERA_FILES."
+    add = parser.add_argument
+    add("source", type=Path, metavar="CAMERA_FILES", help=argparse.SUPPRESS)
+    add("out", type=Path, metavar="OUT", help=argparse.SUPPRESS)
+    add("--pairs", nargs=2, metavar=("THERMAL", "RGB"), help="names of files, * is the view: '*_T.tiff' '*_V.jpg'")
+    add("--degC-per-count", type=_number, metavar="A", help="of 16-bit or DJI's counts: degC = counts × A + B")
+    add("--degC-at-zero", type=_number, default=0.0, metavar="B")
+    add("--mapping", nargs=3, type=_number, metavar=("RATIO", "X", "Y"),
+        help="thermal covers 1/RATIO of the RGB width, X, Y px off")  # fmt: skip
+    add("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
+    add("--sfm", choices=("rgb", "thermal"), default="rgb", help="images that COLMAP sees; thermal needs no RGB images")
+    add("--poses", type=Path, metavar="FILE", help="of these images, by another program (docs/data.md)")
+    add("--focal", type=_number, metavar="PX", help="focal length of these images; default: estimated")
+    add("--calibration", type=Path, metavar="FILE", help="lens of these images (docs/data.md)")
+    add("--refine", action="store_true", help="begin with that lens, or --poses'; default: it is kept")
+    add("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
+    add("--matching", choices=get_args(Matching), default="exhaustive", metavar="HOW",
+        help="exhaustive, sequential (by name), nearest (GPS, poses)")  # fmt: skip
+    add("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", metavar="NAME", help=", ".join(CAMERA_MODELS))
+    add("--seed", type=int, default=0, metavar="N", help="of COLMAP; equal results need --threads 1, too")
+    add("--threads", type=_positive, metavar="N", help="of COLMAP; default: all processors")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -69,8 +66,8 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
         raise SceneError("--poses and --no-sfm contradict each other; give one of them")
     if arguments.focal is not None and arguments.calibration is not None:
         raise SceneError("--focal and --calibration both state the focal length; give one of them")
-    if arguments.refine and arguments.focal is None and arguments.calibration is None:
-        raise SceneError("--refine is about --focal or --calibration; give one of them")
+    if arguments.refine and arguments.focal is None and arguments.calibration is None and arguments.poses is None:
+        raise SceneError("--refine is about --focal, --calibration or the lens of --poses; give one of them")
     calibration = () if arguments.calibration is None else read_calibration(arguments.calibration)
     sfm = SfmOptions(
         arguments.sfm, arguments.focal, arguments.matching, arguments.camera_model, arguments.seed, arguments.threads,

@@ -113,10 +113,10 @@ def _structure(
     folder: Path, capture: Capture, stages: Stages, sfm: SfmOptions, poses: Path | None, report: Report
 ) -> Structure:
     """Return poses, lens and points: those of a file of poses, else those that COLMAP finds; report them."""
+    positions = _positions(capture, report) if poses is None and sfm.matching == "nearest" else None
     if len(capture.names) < FEWEST_IMAGES:
         raise too_few(folder, len(capture.names), report)
     if poses is None:
-        positions = _positions(capture, report) if sfm.matching == "nearest" else None
         sfm = _with_lens(sfm, report, capture.kind)
         structure = reconstruct(capture.folder, list(capture.names.values()), stages, sfm, positions)
     else:
@@ -126,7 +126,7 @@ def _structure(
         sfm = replace(sfm, calibration=checked_lenses(stated, poses)) if stated else sfm
         sfm = _with_lens(sfm, report, capture.kind)
         if sfm.focal is None and not sfm.calibration:
-            raise SceneError(f"{poses} states no lens, nor do the files: say it by --calibration FILE or --focal PX")
+            raise SceneError(f"{poses} states no lens: say it by --calibration FILE or --focal PX")
         structure = structure_of(known, capture.folder, capture.kind.rgb, stages, sfm)
     _note_structure(structure, capture, report)
     return structure

@@ -71,6 +71,16 @@ def test_points_are_triangulated_and_a_stopped_run_goes_on(tmp_path, monkeypatch
     assert content(tmp_path / "again") == content(tmp_path / "scene")
 
 
+def test_a_lens_is_refined_at_the_poses(tmp_path):
+    """Of shipped points, too, which are triangulated then."""
+    files = write_relief(tmp_path / "camera", CENTRES)
+    options = opensfm(tmp_path / "a.json", [path.name for path in files], [(0, 0, 6)])
+    options = replace(options, sfm=SfmOptions("thermal", 1.1 * FOCAL, threads=1, refine=True))
+    report = prepare_scene(tmp_path / "camera", tmp_path / "scene", options)
+    model = read_model(tmp_path / "scene" / "sparse" / "0")
+    assert model.images["00"].camera.K[0, 0] == pytest.approx(FOCAL, rel=0.01) and report.points > 300
+
+
 def test_shipped_points_need_no_matches(tmp_path, monkeypatch):
     """Of RGB images, too, whose files are named otherwise than the view."""
     for path in write_relief(tmp_path / "camera", CENTRES[:3]):
@@ -92,7 +102,7 @@ def test_origin_and_lens_of_a_map(tmp_path):
     for index in range(3):
         Image.fromarray(np.full((HEIGHT, WIDTH), 20, np.float32)).save(tmp_path / "camera" / f"{index}.tiff")
     options = table(tmp_path / "a.txt", ["0.tif", "1.tif", "2.tif"], (2.6e6, 1.2e6, 400))
-    with pytest.raises(SceneError, match=r"a\.txt states no lens, nor do the files: say it by --calibration"):
+    with pytest.raises(SceneError, match=r"a\.txt states no lens: say it by --calibration"):
         prepare_scene(tmp_path / "camera", tmp_path / "scene", options)
     options = replace(options, sfm=replace(options.sfm, focal=FOCAL))
     report = prepare_scene(tmp_path / "camera", tmp_path / "scene", options)
