@@ -21,6 +21,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,15 +29,18 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
-from benchmarks.common.motion import SEED, THREADS, from_motion, summary, triangulated
-from tdgbench.data.poses.metashape import chunk_poses, lenses, read_xml
+from tdgbench.data.poses.references import read_reference
+from tdgbench.data.prepare.contrast import picture
+from tdgbench.data.prepare.known_poses import KnownPoses, structure_of
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
-from tdgbench.data.prepare.sfm import SfmOptions
+from tdgbench.data.prepare.sfm import SfmOptions, Structure, reconstruct
+from tdgbench.data.prepare.stages import Stages
 from tdgbench.files import whole_folder
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.radiometric import dji_counts
 from tdgbench.scenes.temperature import CountScale
 
+SFM = SfmOptions("thermal", seed=0, threads=1)
 RGB_SIZE = 960, 540  # of fresco, half that of the files: thermal images have 640×512 px
 RGB_TO_THERMAL = "0.8916 0.0023 -122.53 -0.0028 0.8822 18.07 -5.5e-6 -6.5e-6 1"  # homography, px; to 1 px RMS
 
@@ -83,7 +87,7 @@ def river(source: Path, out: Path, views: int) -> None:
     first = 30  # COLMAP registers all of the 60 views from there
     raw = read_frames(sorted((source / "RawData").glob("*.tiff"))[first:][:views])
     unbiased = read_frames([source / "TIFFs - pixel bias removed" / f"{name}.tiff" for name in raw])
-    model = from_motion(image_names(unbiased))
+    model = structure(unbiased)
     write_scene(out / "river", raw, model)
     write_scene(out / "river_unbiased", unbiased, model)
     differences = [raw[name].astype(np.float32) - unbiased[name] for name in raw]
@@ -93,24 +97,18 @@ def river(source: Path, out: Path, views: int) -> None:
 def orchard(source: Path, out: Path, views: int) -> None:
     files = sorted((source / "examples").glob("*.JPG"))[:views]
     counts = {path.stem: found for path in files if (found := dji_counts(path)) is not None}
-    model = from_motion(image_names(counts))
+    model = structure(counts)
     write_scene(out / "orchard", {path.stem: np.asarray(Image.open(path).convert("L")) for path in files}, model)
     write_scene(out / "orchard_counts", counts, model)
 
 
 def plots(source: Path, out: Path, views: int) -> None:
     archive = source / "Output" / "CH_1260_P004_20210701.13.50.1_40m_Therm.files" / "0" / "chunk.zip"
-    chunk = read_xml(archive)
-    (lens,) = lenses(chunk, archive)
-    camera = pycolmap.Camera(model=lens.model, width=lens.width, height=lens.height, params=lens.params)
-    poses = {label: np.linalg.inv(pose) for label, (pose, *_) in chunk_poses(chunk, archive).items()}
     first, last = "DJI_0016", "DJI_0131"  # from the start of a flight line to the end; those from 0897 on are before
     images = sorted((source / "ThermalData" / "1" / "Grayscale").glob("*.tiff"))
     files = [path for path in images if first <= path.stem <= last]
     frames = {name: (frame / 1000).astype(np.float32) for name, frame in read_frames(files[:views]).items()}
-    named = image_names(frames)
-    model = triangulated(named, camera, {file: poses[Path(file).stem] for file in named})
-    write_scene(out / "plots", frames, model)
+    write_scene(out / "plots", frames, structure(frames, archive))
 
 
 def fresco(source: Path, out: Path, views: int) -> None:
@@ -125,10 +123,8 @@ def fresco(source: Path, out: Path, views: int) -> None:
                 photo.resize(RGB_SIZE, Image.Resampling.BOX).save(files / f"{view}.png")
         mapping = Path(folder) / "homography.txt"
         mapping.write_text(RGB_TO_THERMAL, encoding="utf-8")
-        sfm = SfmOptions(seed=SEED, threads=THREADS)
-        report = prepare_scene(
-            files, out / "fresco", PrepareOptions(counts=CountScale(0.025, -100.0), homography=mapping, sfm=sfm)
-        )
+        options = PrepareOptions(counts=CountScale(0.025, -100.0), homography=mapping, sfm=replace(SFM, images="rgb"))
+        report = prepare_scene(files, out / "fresco", options)
     print(report.text())
 
 
@@ -137,22 +133,39 @@ def read_frames(files: list[Path]) -> dict[str, np.ndarray]:
     return {path.stem: np.asarray(Image.open(path)) for path in files}
 
 
-def image_names(frames: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {f"{view}.png": frame for view, frame in frames.items()}
+def structure(frames: Mapping[str, np.ndarray], poses: Path | None = None) -> Structure:
+    """COLMAP's model of thermal frames (H, W) by view; poses: a file of them and of the lens, for points alone."""
+    with tempfile.TemporaryDirectory() as folder:
+        images, stages = Path(folder), Stages(Path(folder) / "work")
+        for view, frame in frames.items():
+            Image.fromarray(picture(frame)).save(images / f"{view}.png")
+        if poses is None:
+            return reconstruct(images, [f"{view}.png" for view in frames], stages, SFM)
+        known = read_reference(poses)
+        posed = KnownPoses({f"{view}.png": known.poses[view] for view in frames}, None)
+        size = next(iter(frames.values())).shape[1::-1]
+        return structure_of(posed, images, size, stages, replace(SFM, calibration=tuple(known.lenses())))
 
 
-def write_scene(folder: Path, frames: Mapping[str, np.ndarray], model: pycolmap.Reconstruction) -> None:
+def write_scene(folder: Path, frames: Mapping[str, np.ndarray], found: Structure) -> None:
     """Write the registered views (8 bits, raw counts, or float in °C) and the model; print what they are."""
-    registered = {Path(image.name).stem for image in model.images.values()}
+    model, camera = pycolmap.Reconstruction(), found.camera
+    model.add_camera_with_trivial_rig(camera)
+    for number, (name, pose) in enumerate(found.poses.items(), 1):
+        image = pycolmap.Image(name, camera_id=camera.camera_id, image_id=number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose[:3]))
+    for xyz, color in zip(found.points.points, np.round(found.points.colors * 255).astype(np.uint8), strict=True):
+        model.add_point3D(xyz, pycolmap.Track(), color)
     with whole_folder(folder) as part:
         (part / "thermal").mkdir()
         (part / "sparse" / "0").mkdir(parents=True)
         for view, frame in frames.items():
-            if view in registered:
+            if f"{view}.png" in found.poses:
                 suffix = "png" if frame.dtype == np.uint8 else "tiff"
                 Image.fromarray(frame).save(part / "thermal" / f"{view}.{suffix}")
         model.write(part / "sparse" / "0")
-    print(f"{folder}: {summary(model, len(frames))}", flush=True)
+    views, points = f"{len(found.poses)} of {len(frames)} views", f"{len(found.points.points)} points"
+    print(f"{folder}: {views}, {points}, {found.error_px:.2f} px, f = {camera.mean_focal_length():.0f} px", flush=True)
 
 
 CAPTURES = {

@@ -1,11 +1,14 @@
 """Scenes of public captures, from made files in their formats."""
 
+from collections import Counter
+
 import numpy as np
 import pycolmap
 import pytest
 
 from benchmarks.captures import CAPTURES, checkout, write_scene
-from tdgbench.scenes import FolderDataset, ReadOptions
+from tdgbench.data.prepare.sfm import Structure
+from tdgbench.scenes import FolderDataset, PointCloud, ReadOptions
 
 
 def test_absent_checkout_says_what_to_clone(tmp_path):
@@ -23,15 +26,12 @@ def test_checkouts_have_either_name(tmp_path, name):
 def test_scenes_are_read(tmp_path, dtype):
     rng = np.random.default_rng(0)
     frames = {f"v{k}": rng.integers(0, 200, (24, 32)).astype(dtype) for k in range(5)}
-    model = pycolmap.Reconstruction()
     camera = pycolmap.Camera(camera_id=1, model="SIMPLE_RADIAL", width=32, height=24, params=[30, 16, 12, 0.01])
-    model.add_camera_with_trivial_rig(camera)
-    for number in range(4):  # one view is not registered
-        image = pycolmap.Image(f"v{number}.png", camera_id=1, image_id=number + 1)
-        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(np.eye(3, 4) + [[0, 0, 0, number]] * 3))
-    for point in rng.normal((0, 0, 9), size=(10, 3)):
-        model.add_point3D(point, pycolmap.Track())
-    write_scene(tmp_path / "made", frames, model)
+    poses = {
+        f"v{k}.png": np.eye(4) + np.outer([1, 1, 1, 0], [0, 0, 0, k]) for k in range(4)
+    }  # one view is not registered
+    points = PointCloud(rng.normal((0, 0, 9), size=(10, 3)), np.zeros((10, 3), np.float32))
+    write_scene(tmp_path / "made", frames, Structure(camera, poses, points, 0.5, [4], Counter(), Counter()))
     scene = FolderDataset(str(tmp_path), ReadOptions()).load("made")
     assert len(scene.train) + len(scene.test) == 4
     assert (scene.temperature is not None) == (dtype == np.float32)

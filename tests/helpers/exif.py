@@ -1,19 +1,15 @@
-"""Pictures whose EXIF data and XMP say where and when they were taken."""
+"""Pictures whose EXIF data and XMP say where they were taken."""
 
 import numpy as np
 from PIL import ExifTags, Image
 from PIL.TiffImagePlugin import IFDRational
 
 
-def write_placed(path, gps=None, taken=None, fraction=None, xmp=None):
-    """Write a black picture with a position (tags of EXIF), a time of capture and XMP."""
+def write_placed(path, gps=None, xmp=None):
+    """Write a black picture with a position (tags of EXIF) and XMP."""
     exif = Image.Exif()
     if gps is not None:
         exif.get_ifd(ExifTags.IFD.GPSInfo).update(gps)
-    if taken is not None:
-        exif.get_ifd(ExifTags.IFD.Exif).update({ExifTags.Base.DateTimeOriginal: taken})
-    if fraction is not None:
-        exif.get_ifd(ExifTags.IFD.Exif).update({ExifTags.Base.SubsecTimeOriginal: fraction})
     Image.fromarray(np.zeros((36, 48), np.uint8)).save(path, exif=exif, **({} if xmp is None else {"xmp": xmp}))
     return path
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tdgbench.data.poses.compare import compare
-from tdgbench.data.poses.references import READ, Pose, read_poses
+from tdgbench.data.poses.references import READ, Reference, read_reference
+from tdgbench.scenes import SceneError
 from tdgbench.terminal import say
 
 
@@ -20,9 +21,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print how far the scene's poses are from the reference's."""
-    scene, reference = read_poses(arguments.scene), read_poses(arguments.reference)
-    result = compare(scene, reference)
-    say(f"views: {len(result.position)} in both, of {len(scene)} and {len(reference)}; similarity of {result.fitted}")
+    scene, reference = read_reference(arguments.scene), read_reference(arguments.reference)
+    result = compare(scene.poses, reference.poses)
+    total = f"{len(scene.poses)} and {len(reference.poses)}"
+    say(f"views: {len(result.position)} in both, of {total}; similarity of {result.fitted}")
     if result.rotation is None:
         say("rotation: n/a (the positions lie on a line, about which they determine no rotation)")
     else:
@@ -36,8 +38,11 @@ def _spread(errors: np.ndarray) -> str:
     return f"median {np.median(errors):.3g}, 90 % below {np.percentile(errors, 90):.3g}, largest {errors.max():.3g}"
 
 
-def _focal(poses: dict[str, Pose]) -> str:
+def _focal(reference: Reference) -> str:
     """Return the cameras' focal lengths, also as shares of the width, which resizing leaves as they are."""
-    known = sorted({(one.focal, one.width) for one in poses.values() if one.focal and one.width})
+    try:
+        known = sorted({(one.params[0], one.width) for one in reference.lenses()})
+    except SceneError as error:
+        return f"n/a ({error})"
     shown = [f"{focal:.1f} px of {width} ({focal / width:.4f} × the width)" for focal, width in known[:2]]
     return (", ".join(shown) + " …" * (len(known) > 2)) or "n/a (not stated)"

@@ -8,7 +8,6 @@ import numpy as np
 import pycolmap
 from scipy.spatial.distance import pdist
 
-from tdgbench.data.poses.references import Pose
 from tdgbench.scenes.errors import SceneError
 
 FEWEST = 3  # views: three positions determine a similarity
@@ -27,8 +26,11 @@ class Comparison(NamedTuple):
     scale: float  # reference units per unit
 
 
-def compare(poses: dict[str, Pose], reference: dict[str, Pose]) -> Comparison:
-    """Compare the views that both have, by name. Raises SceneError for too few, or positions without extent."""
+def compare(poses: dict[str, np.ndarray], reference: dict[str, np.ndarray]) -> Comparison:
+    """Compare world-to-camera poses (4, 4) of the views that both have, by name.
+
+    Raises SceneError for too few, or positions without extent.
+    """
     views = [name for name in poses if name in reference]
     if len(views) < FEWEST:
         names, others = (f"{', '.join(sorted(one)[:2])} …" for one in (poses, reference))
@@ -36,7 +38,7 @@ def compare(poses: dict[str, Pose], reference: dict[str, Pose]) -> Comparison:
             f"{len(views)} views have one name in both ({names} against {others}); {FEWEST} are needed. Rename the "
             "images of one, without their folders and extensions"
         )
-    ours, theirs = (np.stack([one[name].world_to_camera for name in views]) for one in (poses, reference))
+    ours, theirs = (np.stack([one[name] for name in views]) for one in (poses, reference))
     source, target = (-np.einsum("nji,nj->ni", one[:, :3, :3], one[:, :3, 3]) for one in (ours, theirs))
     similarity, errors, fitted = _fit(source, target)
     # the angle from sine and cosine: arccos alone loses small angles

@@ -39,15 +39,14 @@ def read_xml(path: Path) -> Element:
         raise SceneError(f"{path} cannot be read as Metashape's XML: {error}; export it again") from error
 
 
-def chunk_poses(root: Element, path: Path) -> dict[str, tuple[np.ndarray, float | None, int | None]]:
-    """Return world to camera (4, 4), focal length in px and width in px by camera label.
+def chunk_poses(root: Element, path: Path) -> dict[str, np.ndarray]:
+    """Return world to camera (4, 4) by camera label.
 
     Components have worlds of their own: poses are of the one with most cameras.
     """
     cameras = [camera for camera in root.iter("camera") if camera.find("transform") is not None]
     components = Counter(camera.get("component_id") for camera in cameras)
-    sensors = {sensor.get("id"): _calibration(sensor) for sensor in root.iter("sensor")}
-    poses: dict[str, tuple[np.ndarray, float | None, int | None]] = {}
+    poses: dict[str, np.ndarray] = {}
     for camera in cameras:
         label = camera.get("label", "")
         if camera.get("component_id") != components.most_common(1)[0][0]:
@@ -55,9 +54,7 @@ def chunk_poses(root: Element, path: Path) -> dict[str, tuple[np.ndarray, float 
         if label in poses:
             raise SceneError(f"{path} has two cameras labelled {label}; export the cameras of one sensor alone")
         to_world = _numbers(camera.findtext("transform", "").split(), 16, f"{path}: camera {label}").reshape(4, 4)
-        lens = sensors.get(camera.get("sensor_id"))
-        known = (None, None) if lens is None else (_values(lens, path)["f"], int(_values(lens, path)["width"]))
-        poses[label] = (_pose(to_world[:3, :3].T, to_world[:3, 3]), *known)
+        poses[label] = _pose(to_world[:3, :3].T, to_world[:3, 3])
     return poses
 
 

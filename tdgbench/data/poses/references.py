@@ -1,88 +1,102 @@
-"""Read poses of a scene, a COLMAP model, or a file of nerfstudio, OpenSfM or Metashape."""
+"""Read poses of a scene, a COLMAP model, or a file of nerfstudio, OpenSfM or Metashape, with lenses and points."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from tdgbench.data.poses.metashape import chunk_poses, read_xml, table_poses
+from tdgbench.data.poses.metashape import chunk_poses, lenses, read_xml, table_poses
+from tdgbench.data.poses.opensfm import model_points, shot_lenses, shot_poses
+from tdgbench.scenes import PointCloud
 from tdgbench.scenes.colmap import RegisteredImage, read_model
+from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
-from tdgbench.scenes.inputs import is_folder, read_json, regular_file
+from tdgbench.scenes.inputs import is_folder, is_there, read_json, regular_file
 from tdgbench.scenes.layouts import detect
-from tdgbench.scenes.layouts.transforms import read_transforms
+from tdgbench.scenes.layouts.transforms import read_points, read_transforms, where_they_are
 from tdgbench.scenes.validate import check_pose
 
 READ = "a scene, a COLMAP model, transforms.json, reconstruction.json, or Metashape's .xml, chunk.zip, .txt"
 
 
-class Pose(NamedTuple):
-    """A view's pose in OpenCV axes, and what is known of its lens."""
+class Reference(NamedTuple):
+    """What another program found. poses: world to camera (4, 4) in OpenCV axes, by view name.
 
-    world_to_camera: np.ndarray  # (4, 4)
-    focal: float | None = None  # px
-    width: int | None = None  # px, of the image
+    lenses: none if they are not stated; raises SceneError for one that COLMAP cannot say.
+    """
+
+    poses: dict[str, np.ndarray]
+    lenses: Callable[[], list[CameraEntry]] = list
+    points: PointCloud | None = None
 
 
-def read_poses(path: Path) -> dict[str, Pose]:
-    """Return poses by view name: that of the image without folder and extension. Raises SceneError naming the file."""
+def read_reference(path: Path) -> Reference:
+    """Read poses, named as the images without folder and extension. Raises SceneError naming the file."""
+    suffix = path.suffix.lower()
     if is_folder(path):
         layout = detect(path)
         found = None if layout is None else layout.find(path)
-        images = read_model(path).images if found is None else found.posed
-        poses = _of_images(one for one in images.values() if found is None or one.name in found.thermal)
-    elif path.suffix.lower() == ".json":
-        poses = _read_json(path)
-    elif path.suffix.lower() == ".txt":
-        poses = {name: Pose(pose) for name, pose in table_poses(path).items()}
-    elif path.suffix.lower() in (".xml", ".zip"):
-        poses = {name: Pose(*pose) for name, pose in chunk_poses(read_xml(path), path).items()}
+        images, points = read_model(path) if found is None else (found.posed, found.points)
+        shown = [image for image in images.values() if found is None or image.name in found.thermal]
+        reference = _of_images(shown, points)
+    elif suffix == ".json":
+        reference = _read_json(path)
+    elif suffix == ".txt":
+        reference = Reference(table_poses(path))
+    elif suffix in (".xml", ".zip"):
+        root = read_xml(path)
+        reference = Reference(chunk_poses(root, path), lambda: lenses(root, path))
     else:
         raise SceneError(f"{regular_file(path)} holds no poses that are read here; give {READ}")
-    if not poses:
+    if not reference.poses:
         raise SceneError(f"{path} has no registered view; align the images first, and export again")
-    named: dict[str, Pose] = {}
-    for name, pose in poses.items():
+    named: dict[str, np.ndarray] = {}
+    for name, pose in reference.poses.items():
         file = PurePosixPath(name.replace("\\", "/"))
         view = file.stem if file.suffix.lower() in SUFFIXES else file.name
         if view in named:
             raise SceneError(f"{path} has two views named {view}; keep one of them")
-        check_pose(pose.world_to_camera, f"{path}: view {view}")
+        check_pose(pose, f"{path}: view {view}")
         named[view] = pose
-    return named
+    return reference._replace(poses=named)
 
 
-def _of_images(images: Iterable[RegisteredImage]) -> dict[str, Pose]:
-    """Return poses of a model's images, whose distorted cameras have become pinholes of the same focal length."""
-    cameras = {image.name: image.camera for image in images}
-    return {name: Pose(one.world_to_camera, float(one.K[0, 0]), one.width) for name, one in cameras.items()}
+def _of_images(images: list[RegisteredImage], points: PointCloud | None) -> Reference:
+    poses = {image.name: image.camera.world_to_camera for image in images}
+    return Reference(poses, lambda: list(dict.fromkeys(map(_lens, images))), points)
 
 
-def _read_json(path: Path) -> dict[str, Pose]:
-    """Read a transforms.json, or the largest model of OpenSfM's reconstruction.json.
+def _lens(image: RegisteredImage) -> CameraEntry:
+    K, source = image.camera.K, None if image.undistortion is None else image.undistortion.source
+    if source is None:
+        params = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+        return CameraEntry(1, "PINHOLE", image.camera.width, image.camera.height, params)
+    return CameraEntry(1, source.model_name, source.width, source.height, tuple(source.params.tolist()))
 
-    OpenSfM (docs: "Dataset structure", "Camera models"): rotation is an angle-axis vector; with the translation, it
-    leads from the world to the camera in OpenCV's axes. Focal lengths are shares of the longer side.
-    """
+
+def _read_json(path: Path) -> Reference:
+    """Read a transforms.json with the points that it names, or the largest model of OpenSfM's reconstruction.json."""
     try:
         content = read_json(path)
         if isinstance(content, dict):
-            return _of_images(frame.posed for frame in read_transforms(path).frames.values())
+            return _of_transforms(path)
         model = max(content, key=lambda one: len(one["shots"]))
-        poses = {}
-        for name, shot in model["shots"].items():
-            lens, pose = model["cameras"][shot["camera"]], np.eye(4)
-            pose[:3, :3] = Rotation.from_rotvec(shot["rotation"]).as_matrix()
-            pose[:3, 3] = shot["translation"]
-            share = float(lens["focal_x"] if "focal_x" in lens else lens["focal"])
-            poses[name] = Pose(pose, share * max(lens["width"], lens["height"]), lens["width"])
-        return poses
+        return Reference(shot_poses(model), lambda: shot_lenses(model), model_points(model))
     except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
         raise SceneError(
             f"{path} is no reconstruction.json of OpenSfM or transforms.json: {error!r}; export it again"
         ) from error
+
+
+def _of_transforms(path: Path) -> Reference:
+    content = read_transforms(path)
+    images = [frame.posed for frame in content.frames.values()]
+    ply = None if content.points is None else path.parent / content.points
+    if ply is None or not is_there(ply):
+        return _of_images(images, None)
+    points, _ = where_they_are(read_points(ply), content.applied_transform, [image.camera for image in images])
+    return _of_images(images, points)

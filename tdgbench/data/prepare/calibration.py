@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 
 from tdgbench.data.poses.metashape import lenses, read_xml
+from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare.resample import Size
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap.pinhole import to_pinhole
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.colmap.text import read_cameras
 from tdgbench.scenes.images import opened_image
-from tdgbench.scenes.inputs import read_bytes
+from tdgbench.scenes.inputs import is_folder, read_bytes
 
 FOCALS = 0.4, 10.0  # of a lens, × the image's width: 103° to 6°
 EXIF, FOCAL, FOCAL_35MM, X_RESOLUTION, UNIT, WIDTH = 0x8769, 0x920A, 0xA405, 0xA20E, 0xA210, 0xA002  # tags
@@ -28,14 +30,22 @@ def read_calibration(path: Path) -> tuple[CameraEntry, ...]:
     """Read the cameras of a file, as COLMAP has them.
 
     Metashape's lens or cameras.xml; OpenCV's YAML or XML, whose pixel centres are at integers; lines of COLMAP's
-    cameras.txt. Raises SceneError naming the file.
+    cameras.txt; folders and JSON as `read_reference`. Raises SceneError naming the file.
     """
     if path.suffix.lower() == ".txt":
         found = read_cameras(path)
+    elif is_folder(path) or path.suffix.lower() == ".json":
+        found = read_reference(path).lenses()
     else:
         text = read_bytes(path).decode(errors="replace")
         is_opencv = path.suffix.lower() in (".yml", ".yaml") or "<opencv_storage" in text
         found = [_of_opencv(text, path)] if is_opencv else lenses(read_xml(path), path)
+    return checked_lenses(found, path)
+
+
+def checked_lenses(found: Iterable[CameraEntry], path: Path) -> tuple[CameraEntry, ...]:
+    """Return the cameras of a file, each as the simplest model. Raises SceneError for none, or numbers of no camera."""
+    found = tuple(dict.fromkeys(found))
     if not found:
         raise SceneError(f"{path} holds no calibration; give one of Metashape, OpenCV or COLMAP (docs/data.md)")
     for camera in found:
@@ -57,10 +67,10 @@ def start_camera(
     if calibration:
         fitting = {(one.model, one.params) for one in calibration if (one.width, one.height) == size}
         if len(fitting) != 1:
-            sizes = ", ".join(f"{one.width}×{one.height}" for one in calibration)
+            sizes = sorted({f"{one.width}×{one.height}" for one in calibration})
             raise SceneError(
-                f"--calibration: COLMAP's images are {size[0]}×{size[1]} px, and the calibrated ones are {sizes}; "
-                "exactly one must have their size: calibrate at this size, or leave the others out of the file"
+                f"--calibration or --poses: COLMAP's images are {size[0]}×{size[1]} px, and the {len(calibration)} "
+                f"calibrated ones are {', '.join(sizes)}; exactly one must have their size: calibrate at this size"
             )
         ((name, params),) = fitting
         return pycolmap.Camera(model=name, width=size[0], height=size[1], params=list(params), camera_id=1)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from tdgbench.data.prepare.places import Place, read_place
+from tdgbench.data.prepare.places import GPS, read_gps
 from tdgbench.data.prepare.report import FileReport, Report
 from tdgbench.data.prepare.resample import Size
 from tdgbench.data.prepare.sources import Sources, ViewFiles
@@ -71,14 +71,14 @@ class Capture:
     """Views of one kind, whose images wait in a folder. names: image file by view.
 
     mappings: where thermal images lie in the photos inside their files, by view, where the files state it. places: of
-    the pictures that COLMAP sees, by view.
+    the pictures that COLMAP sees, by view, where the files state them.
     """
 
     folder: Path
     kind: Kind
     names: dict[str, str] = field(default_factory=dict)
     mappings: dict[str, PhotoMapping] = field(default_factory=dict)
-    places: dict[str, Place] = field(default_factory=dict)
+    places: dict[str, GPS] = field(default_factory=dict)
 
     def rgb(self, view: str) -> np.ndarray | None:
         """Return the RGB image (h, w, 3), float32 in [0, 1], if there is one."""
@@ -206,7 +206,8 @@ def _store(capture: Capture, files: ViewFiles, content: ViewContent, index: int)
         Image.fromarray(np.round(content.rgb * 255).astype(np.uint8)).save(capture.folder / name)
     np.save(capture.folder / f"{name}.npy", content.thermal.astype(np.float32))
     capture.names[files.view] = name
-    capture.places[files.view] = read_place(files.rgb or files.thermal)
+    if (gps := read_gps(files.rgb or files.thermal)) is not None:
+        capture.places[files.view] = gps
     if content.mapping is not None:
         capture.mappings[files.view] = content.mapping
 

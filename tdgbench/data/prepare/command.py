@@ -17,42 +17,38 @@ from tdgbench.terminal import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("source", type=Path, metavar="CAMERA_FILES", help="folder of them")
-    parser.add_argument("out", type=Path, metavar="OUT", help="the scene's folder, which must not exist")
-    parser.add_argument("--pairs", nargs=2, metavar=("THERMAL", "RGB"),
-                        help="names of the files, * stands for the view: '*_T.tiff' '*_V.jpg'")  # fmt: skip
-    parser.add_argument(
-        "--degC-per-count", type=_number, metavar="A", help="16-bit or DJI's counts: degC = counts × A + B"
-    )
-    parser.add_argument("--degC-at-zero", type=_number, default=0.0, metavar="B")
-    parser.add_argument("--mapping", nargs=3, type=_number, metavar=("RATIO", "X", "Y"),
-                        help="thermal covers 1/RATIO of the RGB width, its centre X, Y px off")  # fmt: skip
-    parser.add_argument("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
-    parser.add_argument("--width", type=_positive, metavar="PX", help="of the output; default: the thermal resolution")
-    parser.add_argument("--range", nargs=2, type=_number, metavar=("MIN", "MAX"),
-                        help="°C of image values 0 and 1; default: percentiles 0.1 and 99.9")  # fmt: skip
-    parser.add_argument("--sfm", choices=("rgb", "thermal"), default="rgb",
-                        help="images that COLMAP sees; thermal: RGB images are neither needed nor written")  # fmt: skip
-    parser.add_argument("--focal", type=_number, metavar="PX", help="focal length of these images; default: estimated")
-    parser.add_argument("--calibration", type=Path, metavar="FILE",
-                        help="lens of these images, by Metashape, OpenCV or COLMAP (docs/data.md)")  # fmt: skip
-    parser.add_argument("--refine", action="store_true",
-                        help="begin with --focal or --calibration; default: they are kept")  # fmt: skip
-    parser.add_argument("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
-    parser.add_argument("--matching", choices=get_args(Matching), default="exhaustive",
-                        help="sequential: neighbours by name, for videos; nearest: by GPS, else time")  # fmt: skip
-    parser.add_argument("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", help="of these images")
-    parser.add_argument("--seed", type=int, default=0, help="of COLMAP; equal results need --threads 1, too")
-    parser.add_argument("--threads", type=_positive, help="of COLMAP; default: all processors")
+    """Add the arguments of `tdgbench data prepare`, whose help fits on a screen of 24 lines and 80 columns."""
+    parser.usage = "tdgbench data prepare [options] CAMERA_FILES OUT"
+    parser.description = "Make a scene, the new folder OUT, of the files in the folder CAMERA_FILES."
+    add = parser.add_argument
+    add("source", type=Path, metavar="CAMERA_FILES", help=argparse.SUPPRESS)
+    add("out", type=Path, metavar="OUT", help=argparse.SUPPRESS)
+    add("--pairs", nargs=2, metavar=("THERMAL", "RGB"), help="names of files, * is the view: '*_T.tiff' '*_V.jpg'")
+    add("--degC-per-count", type=_number, metavar="A", help="of 16-bit or DJI's counts: degC = counts × A + B")
+    add("--degC-at-zero", type=_number, default=0.0, metavar="B")
+    add("--mapping", nargs=3, type=_number, metavar=("RATIO", "X", "Y"),
+        help="thermal covers 1/RATIO of the RGB width, X, Y px off")  # fmt: skip
+    add("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
+    add("--sfm", choices=("rgb", "thermal"), default="rgb", help="images that COLMAP sees; thermal needs no RGB images")
+    add("--poses", type=Path, metavar="FILE", help="of these images, by another program (docs/data.md)")
+    add("--focal", type=_number, metavar="PX", help="focal length of these images; default: estimated")
+    add("--calibration", type=Path, metavar="FILE", help="lens of these images (docs/data.md)")
+    add("--refine", action="store_true", help="begin with that lens, or --poses'; default: it is kept")
+    add("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
+    add("--matching", choices=get_args(Matching), default="exhaustive", metavar="HOW",
+        help="exhaustive, sequential (by name), nearest (GPS, poses)")  # fmt: skip
+    add("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", metavar="NAME", help=", ".join(CAMERA_MODELS))
+    add("--seed", type=int, default=0, metavar="N", help="of COLMAP; equal results need --threads 1, too")
+    add("--threads", type=_positive, metavar="N", help="of COLMAP; default: all processors")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Prepare a scene and print its report. Exit status 0 if every file is in the scene, else 1."""
     report = prepare_scene(arguments.source, arguments.out, _options(arguments))
     say(report.text().rstrip())
-    if arguments.no_sfm:
-        return 0 if report.is_complete else 1
-    say(f"train: tdgbench method=3dgs dataset=folder data.root={arguments.out}")
+    if not arguments.no_sfm:
+        say(f"check: tdgbench data check {arguments.out}")
+        say(f"train: tdgbench method=3dgs dataset=folder data.root={arguments.out}")
     return 0 if report.is_complete else 1
 
 
@@ -62,16 +58,16 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
         raise SceneError("--mapping and --homography both say where the thermal image lies; give one of them")
     if arguments.degC_per_count == 0:
         raise SceneError("--degC-per-count is 0; it must be the °C of one count")
-    if arguments.range is not None and not arguments.range[0] < arguments.range[1]:
-        raise SceneError("--range: MIN must be below MAX")
     if arguments.focal is not None and arguments.focal <= 0:
         raise SceneError("--focal must be positive: the focal length in px")
     if arguments.sfm == "thermal" and (arguments.no_sfm or arguments.mapping or arguments.homography):
         raise SceneError("--sfm thermal has no RGB images: --no-sfm, --mapping and --homography are about them")
+    if arguments.poses is not None and arguments.no_sfm:
+        raise SceneError("--poses and --no-sfm contradict each other; give one of them")
     if arguments.focal is not None and arguments.calibration is not None:
         raise SceneError("--focal and --calibration both state the focal length; give one of them")
-    if arguments.refine and arguments.focal is None and arguments.calibration is None:
-        raise SceneError("--refine is about --focal or --calibration; give one of them")
+    if arguments.refine and arguments.focal is None and arguments.calibration is None and arguments.poses is None:
+        raise SceneError("--refine is about --focal, --calibration or the lens of --poses; give one of them")
     calibration = () if arguments.calibration is None else read_calibration(arguments.calibration)
     sfm = SfmOptions(
         arguments.sfm, arguments.focal, arguments.matching, arguments.camera_model, arguments.seed, arguments.threads,
@@ -82,9 +78,8 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
         counts=CountScale(arguments.degC_per_count, arguments.degC_at_zero),
         mapping=None if arguments.mapping is None else PhotoMapping(*arguments.mapping),
         homography=arguments.homography,
-        width=arguments.width,
-        range=None if arguments.range is None else (arguments.range[0], arguments.range[1]),
         sfm=None if arguments.no_sfm else sfm,
+        poses=arguments.poses,
     )
 
 

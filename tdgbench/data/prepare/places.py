@@ -1,16 +1,15 @@
-"""Where and when pictures were taken, as their files say: neighbours to match, and metres."""
+"""Where pictures were taken, as their files say: neighbours to match, and metres."""
 
 from __future__ import annotations
 
 import re
 from contextlib import suppress
-from datetime import datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pycolmap
-from PIL import ExifTags, Image
+from PIL import ExifTags
 from scipy.spatial import cKDTree
 
 from tdgbench.scenes import SceneError
@@ -21,15 +20,11 @@ GPS_ERROR = 5.0  # m, of a position that counts for the alignment: what receiver
 DRONE = re.compile(rb'drone-dji:(GpsLat|GpsLon|Abs)\w*(?:="|>)\s*([-+.\d]+)')  # fields of DJI's XMP
 
 
-class Place(NamedTuple):
-    """gps: latitude and longitude in degrees (WGS 84) and altitude in m. seconds: of the camera's clock."""
-
-    gps: tuple[float, float, float] | None = None
-    seconds: float | None = None
+GPS = tuple[float, float, float]  # latitude and longitude in degrees (WGS 84), altitude in m
 
 
-def read_place(path: Path) -> Place:
-    """Read a file's EXIF data, and for the position XMP of DJI where EXIF has none; None for what neither says.
+def read_gps(path: Path) -> GPS | None:
+    """Return a picture's position by its EXIF data, else by XMP of DJI; None if neither says it.
 
     A position of 0° N, 0° E stands for a receiver without satellites.
     """
@@ -39,33 +34,26 @@ def read_place(path: Path) -> Place:
         gps = _exif_gps(exif.get_ifd(ExifTags.IFD.GPSInfo))
         if gps is None and len(xmp) == 3:
             gps = float(xmp[b"GpsLat"]), float(xmp[b"GpsLon"]), float(xmp[b"Abs"])
-        return Place(gps if gps is not None and any(gps[:2]) else None, _seconds(exif))
-    return Place()
+        return gps if gps is not None and any(gps[:2]) else None
+    return None
 
 
-def coordinates(places: dict[str, Place]) -> dict[str, np.ndarray]:
-    """Return metres to the east, north and top of the mean GPS position, (3,), by view; without any, seconds, (1,).
-
-    Views whose files do not say them are left out. Raises SceneError if none does.
-    """
-    gps = {view: place.gps for view, place in places.items() if place.gps is not None}
-    if gps:
-        degrees = np.array(list(gps.values()))
-        metres = pycolmap.GPSTransform().ellipsoid_to_enu(degrees, *degrees.mean(axis=0))
-        return dict(zip(gps, metres, strict=True))
-    times = {view: np.array([place.seconds]) for view, place in places.items() if place.seconds is not None}
-    if not times:
+def coordinates(places: dict[str, GPS]) -> dict[str, np.ndarray]:
+    """Return metres to the east, north and top of the mean position, (3,), by view. Raises SceneError for none."""
+    if not places:
         raise SceneError(
-            "--matching nearest: no file says where or when it was taken (EXIF or XMP, which exports often lose); "
-            "choose --matching sequential for pictures in order, else exhaustive"
+            "--matching nearest: no file says where it was taken (EXIF or XMP, which exports often lose); choose "
+            "--matching sequential for pictures in order, else exhaustive"
         )
-    return times
+    degrees = np.array(list(places.values()))
+    metres = pycolmap.GPSTransform().ellipsoid_to_enu(degrees, *degrees.mean(axis=0))
+    return dict(zip(places, metres, strict=True))
 
 
 def nearest_pairs(names: list[str], positions: np.ndarray) -> list[tuple[str, str]]:
     """Return pairs of images to match: each with its nearest ones, and with the next by name.
 
-    positions: (N, D). The next by name joins pictures that share one position, as between two signals of GPS.
+    positions: (N, 3). The next by name joins pictures that share one position, as between two signals of GPS.
 
     >>> nearest_pairs(["a", "b", "c"], np.array([[0.0], [1.0], [5.0]]))
     [('a', 'b'), ('a', 'c'), ('b', 'c')]
@@ -97,7 +85,7 @@ def to_metres(model: pycolmap.Reconstruction, positions: dict[str, np.ndarray], 
     return f"the model is in metres by GPS, x east, y north, z up: its cameras lie {fit}, {error.max():.2f} m at most"
 
 
-def _exif_gps(tags: dict[int, Any]) -> tuple[float, float, float] | None:
+def _exif_gps(tags: dict[int, Any]) -> GPS | None:
     """Return a position from EXIF tags: degrees, minutes, seconds and hemisphere; metres above or below the sea."""
     with suppress(KeyError, TypeError, ValueError, ZeroDivisionError):
         base = ExifTags.GPS
@@ -109,14 +97,4 @@ def _exif_gps(tags: dict[int, Any]) -> tuple[float, float, float] | None:
         under = tags.get(base.GPSAltitudeRef) in (b"\x01", 1)
         gps = angles[0], angles[1], float(tags[base.GPSAltitude]) * (-1 if under else 1)
         return gps if np.isfinite(gps).all() else None
-    return None
-
-
-def _seconds(exif: Image.Exif) -> float | None:
-    tags = exif.get_ifd(ExifTags.IFD.Exif)
-    taken = str(tags.get(ExifTags.Base.DateTimeOriginal) or exif.get(ExifTags.Base.DateTime))
-    fraction = str(tags.get(ExifTags.Base.SubsecTimeOriginal, "")).strip()
-    with suppress(ValueError):
-        whole = (datetime.strptime(taken, "%Y:%m:%d %H:%M:%S") - datetime(1970, 1, 1)).total_seconds()
-        return whole + float(f"0.{fraction}" if fraction.isdigit() else 0)
     return None

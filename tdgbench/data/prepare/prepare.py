@@ -11,11 +11,12 @@ import pycolmap
 from PIL import Image
 from pydantic import ConfigDict, TypeAdapter
 
-from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
 from tdgbench.data.new_folder import new_folder
-from tdgbench.data.prepare.calibration import exif_focal
+from tdgbench.data.poses.references import read_reference
+from tdgbench.data.prepare.calibration import checked_lenses, exif_focal
 from tdgbench.data.prepare.capture import JPEG, Capture, Kind, read_capture, too_few
 from tdgbench.data.prepare.contrast import write_pictures
+from tdgbench.data.prepare.known_poses import known_poses, structure_of
 from tdgbench.data.prepare.places import coordinates
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Grid, Mapping, from_file, inside_photo, make_grid, no_distortion, same_view
@@ -23,14 +24,12 @@ from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reco
 from tdgbench.data.prepare.sources import find_sources
 from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
-from tdgbench.scenes import Camera, PointCloud, SceneError
+from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.radiometric import PhotoMapping
-from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry, robust_range
+from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
 
-SAMPLES = 4096  # temperatures that are kept of each view for the percentiles
-NARROWEST = 0.01  # °C, of a range
 READ = TypeAdapter(tuple[Capture, Report], config=ConfigDict(ser_json_inf_nan="constants"))  # what was read, as JSON
 
 
@@ -39,17 +38,16 @@ class PrepareOptions:
     """Options of a preparation.
 
     pairs: patterns of thermal and RGB files. counts: meaning of 16-bit counts. mapping: where the thermal image lies in
-    the RGB image, or homography: a file that says so; by default as the camera's files state, else the same view.
-    width: of the output in px. range: °C of the image values 0 and 1. sfm: None stops after extraction.
+    the RGB image, or homography: a file that says so; by default as the camera's files state, else the same view. sfm:
+    None stops after extraction. poses: a file or folder as of `read_reference`, of the images that `sfm` names.
     """
 
     pairs: tuple[str, str] | None = None
     counts: CountScale = field(default_factory=CountScale)
     mapping: PhotoMapping | None = None
     homography: Path | None = None
-    width: int | None = None
-    range: tuple[float, float] | None = None
     sfm: SfmOptions | None = field(default_factory=SfmOptions)
+    poses: Path | None = None
 
 
 def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
@@ -69,31 +67,25 @@ def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
 def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, report: Report) -> Report:
     thermal_alone = options.sfm is not None and options.sfm.images == "thermal"
     capture, report = _read(folder, stages, options, thermal_alone, report)
-    is_nearest = options.sfm is not None and options.sfm.matching == "nearest"
-    positions = _positions(capture, report) if is_nearest else None
-    if options.sfm is not None and len(capture.names) < FEWEST_IMAGES:
-        raise too_few(folder, len(capture.names), report)
     mapping, own = _choose_mapping(capture, options)
-    structure = None
-    if options.sfm is not None:
-        sfm = _with_lens(options.sfm, report, capture.kind)
-        structure = reconstruct(capture.folder, list(capture.names.values()), stages, sfm, positions)
-        _note_structure(structure, capture, report)
+    structure = None if options.sfm is None else _structure(folder, capture, stages, options.sfm, options.poses, report)
     source: pycolmap.Camera = no_distortion(capture.kind.rgb) if structure is None else structure.camera
-    grid = make_grid(source, mapping, capture.kind.thermal, options.width)
+    grid = make_grid(source, mapping, capture.kind.thermal)
     report.assumptions += [] if thermal_alone else [mapping.assumption]
-    if thermal_alone:
+    if thermal_alone and options.poses is None:
         report.assumptions.append("poses, points and lens distortion are found in the thermal images alone")
-    elif structure is not None:
+    elif structure is not None and not thermal_alone:
         report.assumptions.append("lens distortion is the RGB camera's, removed from both images alike")
-    else:
+    elif structure is None:
         report.assumptions.append("images are not undistorted, without a model: run COLMAP on rgb/, into sparse/0")
     report.size = grid.size
-    views = _write_views(part, capture, (grid, mapping, own), report)
-    views.temperature(options.range or _known_range(folder, capture), report)
+    _write_views(part, capture, grid, mapping, own, report)
+    if not capture.kind.is_celsius:
+        _write_known_range(folder, part, report)
     if structure is not None:
-        poses = {view: structure.poses[capture.names[view]] for view in views.names}
-        views.model({f"{view}.png": grid.camera(pose) for view, pose in poses.items()}, structure.points)
+        views = [one.view for one in report.files if one.status == "written"]
+        cameras = [(f"{view}.png", grid.camera(structure.poses[capture.names[view]])) for view in views]
+        write_model(part / "sparse" / "0", cameras, structure.points)
     return report
 
 
@@ -117,13 +109,35 @@ def _read(
     return replace(capture, folder=place), report
 
 
+def _structure(
+    folder: Path, capture: Capture, stages: Stages, sfm: SfmOptions, poses: Path | None, report: Report
+) -> Structure:
+    """Return poses, lens and points: those of a file of poses, else those that COLMAP finds; report them."""
+    positions = _positions(capture, report) if poses is None and sfm.matching == "nearest" else None
+    if len(capture.names) < FEWEST_IMAGES:
+        raise too_few(folder, len(capture.names), report)
+    if poses is None:
+        sfm = _with_lens(sfm, report, capture.kind)
+        structure = reconstruct(capture.folder, list(capture.names.values()), stages, sfm, positions)
+    else:
+        reference = read_reference(poses)
+        known = known_poses(poses, reference, capture, report)
+        stated = [] if sfm.focal is not None or sfm.calibration else reference.lenses()
+        sfm = replace(sfm, calibration=checked_lenses(stated, poses)) if stated else sfm
+        sfm = _with_lens(sfm, report, capture.kind)
+        if sfm.focal is None and not sfm.calibration:
+            raise SceneError(f"{poses} states no lens: say it by --calibration FILE or --focal PX")
+        structure = structure_of(known, capture.folder, capture.kind.rgb, stages, sfm)
+    _note_structure(structure, capture, report)
+    return structure
+
+
 def _positions(capture: Capture, report: Report) -> np.ndarray:
-    """Return positions (N, 3) in m, or times (N, 1) in s, of the views that have one; others leave the capture."""
+    """Return positions (N, 3) in m of the views that have one; others leave the capture."""
     found = coordinates(capture.places)
-    what = "GPS position with altitude" if len(next(iter(found.values()))) == 3 else "time of capture"
     for file in report.files:
         if file.status == "written" and file.view not in found:
-            file.status, file.reason = "left out", f"no {what}, as --matching nearest needs where other files have one"
+            file.status, file.reason = "left out", "no GPS position with altitude, as --matching nearest needs"
     capture.names = {view: name for view, name in capture.names.items() if view in found}
     return np.array(list(found.values()))
 
@@ -134,7 +148,7 @@ def _with_lens(options: SfmOptions, report: Report, kind: Kind) -> SfmOptions:
     COLMAP itself reads that of JPEG files, but not of the pictures that are written for it.
     """
     if options.focal is not None or options.calibration:
-        what = f"focal length {options.focal:g} px" if options.focal is not None else "lens of --calibration"
+        what = f"focal length {options.focal:g} px" if options.focal is not None else "known lens"
         report.assumptions.append(f"{what}, {'which COLMAP refines' if options.refine else 'which is kept'}")
         return options
     paths = [Path(one.rgb or one.file) for one in report.files if one.status == "written" and one.rgb != "inside"]
@@ -182,17 +196,10 @@ def _note_structure(structure: Structure, capture: Capture, report: Report) -> N
 
 
 def _write_views(
-    part: Path, capture: Capture, place: tuple[Grid, Mapping, dict[str, Mapping]], report: Report
-) -> SceneWriter:  # fmt: skip
-    """Resample and write the views that are in the scene, and measure the offset of their edges.
-
-    place: the grid, the mapping of thermal images, and the views that have another one.
-    """
-    grid, mapping, own = place
-    writer = SceneWriter(part, capture.kind.is_celsius)
+    part: Path, capture: Capture, grid: Grid, mapping: Mapping, own: dict[str, Mapping], report: Report
+) -> None:
+    """Resample and write the views that are in the scene. mapping: of thermal images but those of `own`, by view."""
     written = [one for one in report.files if one.status == "written"]
-    sampled = chosen_views(len(written))
-    pairs: list[ViewPair] = []
     with step("views to write", len(written)) as count:
         for index, one in enumerate(written):
             photo = capture.rgb(one.view)
@@ -201,86 +208,37 @@ def _write_views(
             if not valid.any():
                 raise SceneError(f"{one.file}: no measured pixel lies inside the scene's images; leave the view out")
             one.invalid = float(1 - valid.mean())
-            writer.view(one.view, rgb, thermal, valid)
-            if index in sampled and rgb is not None:
-                pairs.append(ViewPair(rgb, np.atleast_3d(thermal).astype(np.float32), valid))
+            _write_view(part, one.view, rgb, thermal, valid)
             count(index + 1)
-    offset = "no RGB images" if capture.kind.is_thermal_alone else edge_offset(pairs)
-    report.edge_offset = {**offset._asdict(), "px": offset.px} if isinstance(offset, Offset) else offset
-    return writer
 
 
-def _known_range(folder: Path, capture: Capture) -> tuple[float, float] | None:
-    """Return °C of the values of shown images, if the folder's temperature.json says."""
-    radiometry = None if capture.kind.is_celsius else read_radiometry(folder / FILE)
-    return None if radiometry is None else (radiometry.range.min, radiometry.range.max)
+def _write_known_range(folder: Path, part: Path, report: Report) -> None:
+    """Write temperature.json of shown images whose folder has one, and report it."""
+    radiometry = read_radiometry(folder / FILE)
+    if radiometry is not None:
+        span = report.temperature = radiometry.range.min, radiometry.range.max
+        content = json.dumps({"unit": "degC", "min": span[0], "max": span[1]})
+        (part / FILE).write_text(f"{content}\n", encoding="utf-8")
 
 
-class SceneWriter:
-    """A writer of views, one by one, then of what concerns them all.
+def _write_view(folder: Path, name: str, rgb: np.ndarray | None, thermal: np.ndarray, valid: np.ndarray) -> None:
+    """Write the images of a view, and a mask where a pixel is invalid: 255 for measured pixels, else 0.
 
-    is_celsius: thermal images hold °C and are written as float TIFF; else values in [0, 1], as 16-bit gray or 8-bit
-    colour PNG.
+    rgb: (H, W, 3) in [0, 1], or None. thermal: (H, W) °C, written as float TIFF; or (H, W, C) in [0, 1], as 16-bit gray
+    or 8-bit colour PNG. valid: (H, W) bool.
     """
-
-    def __init__(self, folder: Path, is_celsius: bool) -> None:
-        self.folder, self.is_celsius = folder, is_celsius
-        self.names: list[str] = []  # of the views
-        self._samples: list[np.ndarray] = []  # of the views' temperatures
-        (folder / "thermal").mkdir()
-
-    def view(self, name: str, rgb: np.ndarray | None, thermal: np.ndarray, valid: np.ndarray) -> None:
-        """Write a view. rgb: (H, W, 3) in [0, 1], or None. thermal: (H, W) °C or (H, W, C) in [0, 1]. valid: bool.
-
-        A mask is written where a pixel is invalid: 255 for measured pixels, else 0.
-        """
-        self.names.append(name)
-        if rgb is not None:
-            (self.folder / "rgb").mkdir(exist_ok=True)
-            picture = Image.fromarray(np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8))
-            picture.save(self.folder / "rgb" / f"{name}.png")
-        self._thermal(name, thermal, valid)
-        if not valid.all():
-            (self.folder / "masks").mkdir(exist_ok=True)
-            Image.fromarray(valid.astype(np.uint8) * 255).save(self.folder / "masks" / f"{name}.png")
-
-    def _thermal(self, name: str, thermal: np.ndarray, valid: np.ndarray) -> None:
-        if self.is_celsius:
-            tiff = self.folder / "thermal" / f"{name}.tiff"
-            Image.fromarray(thermal.astype(np.float32)).save(tiff, compression="tiff_deflate")
-            measured = thermal[valid]
-            self._samples.append(measured[:: max(1, len(measured) // SAMPLES)])
-        else:
-            is_gray = thermal.shape[2] == 1
-            levels = np.round(np.clip(thermal, 0, 1) * (65535 if is_gray else 255))
-            image = levels[..., 0].astype(np.uint16) if is_gray else levels.astype(np.uint8)
-            Image.fromarray(image).save(self.folder / "thermal" / f"{name}.png")
-
-    def temperature(self, given: tuple[float, float] | None, report: Report) -> None:
-        """Write temperature.json: the given range, else one from the views, if one is known; report it."""
-        if given is None and not self.is_celsius:
-            return
-        share = None
-        if self.is_celsius:
-            samples = np.concatenate(self._samples)
-            if given is None:
-                given = _range_of(samples)
-            share = float(np.mean((samples < given[0]) | (samples > given[1])))
-        assert given is not None
-        content = {"unit": "degC", "min": given[0], "max": given[1]}
-        (self.folder / FILE).write_text(json.dumps(content) + "\n", encoding="utf-8")
-        report.temperature, report.clipped = given, share
-
-    def model(self, cameras: dict[str, Camera], points: PointCloud) -> None:
-        """Write the COLMAP model of the views, by image file."""
-        write_model(self.folder / "sparse" / "0", list(cameras.items()), points)
-
-
-def _range_of(samples: np.ndarray) -> tuple[float, float]:
-    """Return the range of image values 0 and 1, in °C: robust, and never empty."""
-    try:
-        span = robust_range([samples])
-        return span.min, span.max
-    except ValueError:  # nearly all are equal
-        low = float(np.median(samples))
-        return low, low + NARROWEST
+    images = {"rgb": None if rgb is None else Image.fromarray(np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8))}
+    if thermal.ndim == 3:
+        is_gray = thermal.shape[2] == 1
+        levels = np.round(np.clip(thermal, 0, 1) * (65535 if is_gray else 255))
+        images["thermal"] = Image.fromarray(levels[..., 0].astype(np.uint16) if is_gray else levels.astype(np.uint8))
+    if not valid.all():
+        images["masks"] = Image.fromarray(valid.astype(np.uint8) * 255)
+    for kind, image in images.items():
+        if image is not None:
+            (folder / kind).mkdir(exist_ok=True)
+            image.save(folder / kind / f"{name}.png")
+    if thermal.ndim == 2:
+        (folder / "thermal").mkdir(exist_ok=True)
+        tiff = folder / "thermal" / f"{name}.tiff"
+        Image.fromarray(thermal.astype(np.float32)).save(tiff, compression="tiff_deflate")

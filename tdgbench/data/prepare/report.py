@@ -32,13 +32,11 @@ class Report:
     rgb_size: tuple[int, int] | None = None
     thermal_size: tuple[int, int] | None = None
     size: tuple[int, int] | None = None
-    temperature: tuple[float, float] | None = None
-    clipped: float | None = None  # share of measured pixels outside of `temperature`
+    temperature: tuple[float, float] | None = None  # of image values 0 and 1, where images show them
     camera: str | None = None
     models: list[int] = field(default_factory=list)  # registered images of each model that COLMAP found
     error_px: float | None = None
     points: int | None = None
-    edge_offset: dict[str, float] | str | None = None  # of thermal edges from RGB edges; a string says why unknown
 
     def count(self, status: Status) -> int:
         return sum(file.status == status for file in self.files)
@@ -74,20 +72,10 @@ class Report:
             lines.append(f"  {', '.join(named)}")
         if self.temperature is not None:
             low, high = self.temperature
-            clipped = "" if not self.clipped else f"; {100 * self.clipped:.2g} % of the pixels are outside"
-            lines.append(f"  temperatures {low:.2f} to {high:.2f} °C (temperature.json){clipped}")
-        if self.models:
+            lines.append(f"  temperatures {low:.2f} to {high:.2f} °C (temperature.json)")
+        if self.camera is not None:
             others = f"; smaller models: {', '.join(map(str, self.models[1:]))} images" if self.models[1:] else ""
-            lines.append(
-                f"  COLMAP registers {self.models[0]} images: {self.points} points, {self.error_px:.2f} px, "
-                f"{self.camera}{others}"
-            )
-        if isinstance(self.edge_offset, dict):
-            offset = self.edge_offset
-            lines.append(
-                f"  thermal edges lie {offset['px']:.1f} ± {offset['spread']:.1f} px from RGB edges "
-                f"(x {offset['x']:+.1f}, y {offset['y']:+.1f})"
-            )
-        elif self.edge_offset is not None:
-            lines.append(f"  offset of thermal from RGB edges: n/a ({self.edge_offset})")
+            poses = f"COLMAP registers {self.models[0]} images" if self.models else "known poses"
+            error = "" if self.error_px is None else f"{self.error_px:.2f} px, "
+            lines.append(f"  {poses}: {self.points} points, {error}{self.camera}{others}")
         return lines

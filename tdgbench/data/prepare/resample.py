@@ -137,12 +137,12 @@ class Grid:
         return (sampled[..., 0] if image.ndim == 2 else sampled), valid
 
 
-def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size, width: int | None = None) -> Grid:
+def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size) -> Grid:
     """Return the grid of the part of the undistorted RGB image that the thermal image covers.
 
-    source: camera of the RGB images; where no model is known, `no_distortion`. thermal: size of the thermal images.
-    width: of the output in px; by default one pixel of the output is one of the thermal image, but never finer than
-    the RGB image. Raises SceneError if the thermal image lies outside of the RGB image.
+    source: camera of the RGB images; where no model is known, `no_distortion`. thermal: size of the thermal images. One
+    pixel of the output is one of the thermal image, but never finer than the RGB image. Raises SceneError if the
+    thermal image lies outside of the RGB image.
     """
     whole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), source)
     positions = Undistortion(source, whole, "the RGB camera").positions
@@ -152,12 +152,13 @@ def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size, width: i
     if min(bottom - top, right - left) < SMALLEST:
         raise SceneError(f"the thermal image lies outside of the RGB image: {mapping.assumption}; correct the mapping")
     crop = _cropped(whole, left, top, right - left, bottom - top)
-    if width is None:
-        density = _density(rows[top:bottom, left:right], columns[top:bottom, left:right])
-        width = round(min(1.0, density) * crop.width)
+    density = _density(rows[top:bottom, left:right], columns[top:bottom, left:right])
+    width = round(min(1.0, density) * crop.width)
     height = round(crop.height * width / crop.width)
     if min(width, height) < SMALLEST:
-        raise SceneError(f"the output would be {width}×{height} px; both must be at least {SMALLEST}: set --width")
+        raise SceneError(
+            f"the output would be {width}×{height} px; both must be at least {SMALLEST}: use larger images"
+        )
     output = pycolmap.Camera(
         model="PINHOLE", width=width, height=height,
         params=np.array(crop.params) * np.array([width / crop.width, height / crop.height] * 2),

@@ -55,16 +55,16 @@ class SfmOptions:
 
 @dataclass(frozen=True)
 class Structure:
-    """The largest model, with those joined to it. poses: world-to-camera (4, 4) by image file.
+    """The largest model, with those joined to it; or known poses. poses: world-to-camera (4, 4) by image file.
 
-    error_px: mean reprojection error. models: registered images of each model found. features, matches: by
-    image file, keypoints and verified matches with all other images. notes: for the report, on joining and scale.
+    error_px: mean reprojection error, None without matches. models: registered images of each model found. features,
+    matches: by image file, keypoints and verified matches with all other images. notes: for the report.
     """
 
     camera: pycolmap.Camera
     poses: dict[str, np.ndarray]
     points: PointCloud
-    error_px: float
+    error_px: float | None
     models: list[int]
     features: Counter[str]
     matches: Counter[str]
@@ -76,20 +76,15 @@ def reconstruct(
 ) -> Structure:
     """Run COLMAP on images of one size. images: their folder; names: their files; stages: what is done already.
 
-    positions: of nearest matching, (N, 3) in m, which the model is aligned with, or (N, 1) in s.
+    positions: of nearest matching, (N, 3) in m, which the model is aligned with.
     Raises SceneError if no model is found, with what was found instead.
     """
-    pairs = list(image_pairs(names, options.matching) if positions is None else nearest_pairs(names, positions))
-    inputs = pairs, options.camera_model, options.focal, options.calibration, options.seed
-    with _quiet():
-        features = stages.make("features", names, lambda place: _extract(place, images, names, options))
-        matched = stages.make("matches", inputs, lambda place: _set_camera(features, place, options))
-        database = matched / DATABASE
-        _match(database, pairs, options)
+    with quiet():
+        database = matched(images, names, stages, options, positions)
         mapped = stages.make("models", options.refine, lambda place: _map(database, images, place, len(names), options))
         models = [pycolmap.Reconstruction(folder) for folder in listed(mapped)]
         models.sort(key=lambda model: -model.num_reg_images())
-        keypoints, matches = _counts(database)
+        keypoints, matches = counts(database)
         sizes = [model.num_reg_images() for model in models]
         if not sizes or sizes[0] < FEWEST_IMAGES:
             raise SceneError(_no_model(names, keypoints, matches, sizes, options.images))
@@ -99,12 +94,24 @@ def reconstruct(
         if best.num_reg_images() > sizes[0]:
             refined = stages.make("joined", None, lambda place: _refine(best, database, images, place, options))
             best = pycolmap.Reconstruction(refined)
-    if positions is not None and positions.shape[1] == 3:
+    if positions is not None:
         notes.append(to_metres(best, dict(zip(names, positions, strict=True)), options.seed))
     poses = {image.name: _pose(image) for image in best.images.values() if image.has_pose}
     (lens,) = {image.camera_id: best.cameras[image.camera_id] for image in best.images.values()}.values()
     error, sizes[0] = best.compute_mean_reprojection_error(), best.num_reg_images()
-    return Structure(lens, poses, _cloud(best), error, sizes, keypoints, matches, notes)
+    return Structure(lens, poses, cloud(best), error, sizes, keypoints, matches, notes)
+
+
+def matched(
+    images: Path, names: list[str], stages: Stages, options: SfmOptions, positions: np.ndarray | None = None
+) -> Path:
+    """Return the database of images, with features, matches and the camera of the options. Arguments as above."""
+    pairs = list(image_pairs(names, options.matching) if positions is None else nearest_pairs(names, positions))
+    inputs = pairs, options.camera_model, options.focal, options.calibration, options.seed
+    features = stages.make("features", names, lambda place: _extract(place, images, names, options))
+    place = stages.make("matches", inputs, lambda place: _set_camera(features, place, options))
+    _match(place / DATABASE, pairs, options)
+    return place / DATABASE
 
 
 def _extract(place: Path, images: Path, names: list[str], options: SfmOptions) -> None:
@@ -166,7 +173,7 @@ def image_pairs(names: list[str], matching: str) -> Iterator[tuple[str, str]]:
         yield from ((name, names[index + away]) for away in steps if index + away < len(names))
 
 
-def _pipeline(options: SfmOptions) -> pycolmap.IncrementalPipelineOptions:
+def pipeline(options: SfmOptions) -> pycolmap.IncrementalPipelineOptions:
     settings = pycolmap.IncrementalPipelineOptions()
     settings.random_seed = settings.mapper.random_seed = settings.triangulation.random_seed = options.seed
     settings.num_threads = settings.mapper.num_threads = options.threads or -1
@@ -184,7 +191,7 @@ def _map(database: Path, images: Path, folder: Path, total: int, options: SfmOpt
             database,
             images,
             folder,
-            _pipeline(options),
+            pipeline(options),
             initial_image_pair_callback=lambda: count(2),
             next_image_callback=lambda: count(min(next(done), total)),
         )
@@ -226,12 +233,12 @@ def _refine(model: pycolmap.Reconstruction, database: Path, images: Path, folder
     """Triangulate the points of a joined model, refine all together, and write it."""
     settings = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_focal_length=options.focal is None)
     settings.ceres.solver_options.num_threads = options.threads or -1
-    joined = pycolmap.triangulate_points(model, database, images, folder, options=_pipeline(options))
+    joined = pycolmap.triangulate_points(model, database, images, folder, options=pipeline(options))
     pycolmap.bundle_adjustment(joined, settings)
     joined.write(folder)
 
 
-def _counts(database: Path) -> tuple[Counter[str], Counter[str]]:
+def counts(database: Path) -> tuple[Counter[str], Counter[str]]:
     """Return keypoints, and verified matches with all other images, by image file."""
     features: Counter[str] = Counter()
     matches: Counter[str] = Counter()
@@ -261,14 +268,14 @@ def _pose(image: pycolmap.Image) -> np.ndarray:
     return pose
 
 
-def _cloud(model: pycolmap.Reconstruction) -> PointCloud:
+def cloud(model: pycolmap.Reconstruction) -> PointCloud:
     points = [model.points3D[key] for key in sorted(model.points3D)]
     colors = np.array([point.color for point in points], np.float32).reshape(-1, 3) / np.float32(255)
     return PointCloud(np.array([point.xyz for point in points], np.float64).reshape(-1, 3), colors)
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Silence COLMAP's log, except for errors."""
     before = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value

@@ -3,7 +3,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tdgbench.data.poses.compare import compare
-from tdgbench.data.poses.references import Pose
 from tdgbench.scenes import SceneError
 from tests.helpers.command import tdgbench_here
 from tests.helpers.layouts import write_rgbt_scenes
@@ -15,7 +14,7 @@ def poses_at(positions, rotations):
     for i, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation, -rotation @ position
-        poses[f"view {i}"] = Pose(pose)
+        poses[f"view {i}"] = pose
     return poses
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tdgbench.data.export.export import export_scene
 from tdgbench.data.poses.metashape import TABLE, lenses, read_xml
-from tdgbench.data.poses.references import read_poses
+from tdgbench.data.poses.references import read_reference
 from tdgbench.scenes import Camera, FolderDataset, PointCloud, ReadOptions, SceneError
 from tdgbench.scenes.colmap import write_model
 from tests.helpers.layouts import write_rgbt_scenes
@@ -50,11 +50,11 @@ def metashape(poses, ending=".JPG"):
 
 
 def same(path, poses, focal=None, width=None):
-    found = read_poses(path)
-    assert list(found) == list(poses)
-    for name, pose in poses.items():
-        assert np.allclose(found[name].world_to_camera, pose, atol=1e-9)
-        assert found[name][1:] == ((None, None) if focal is None else (pytest.approx(focal), width))
+    found = read_reference(path)
+    assert list(found.poses) == list(poses)
+    assert np.allclose(list(found.poses.values()), list(poses.values()), atol=1e-9)
+    lenses = [(lens.params[0], lens.width) for lens in found.lenses()]
+    assert lenses == ([] if focal is None else [(pytest.approx(focal), width)])
 
 
 def test_metashape(tmp_path, poses):
@@ -87,7 +87,8 @@ def test_lens_of_metashape(tmp_path):
 
 
 def test_opensfm_takes_the_largest_model(tmp_path, poses):
-    cameras = {"v2": {"projection_type": "brown", "width": 640, "height": 512, "focal_x": 1.25, "focal_y": 1.25}}
+    cameras = {"v2": {"projection_type": "brown", "width": 640, "height": 512, "focal_x": 1.25, "focal_y": 1.25,
+                      "c_x": 0.01, "c_y": -0.01, "k1": 0.1, "p2": 0.02, "k3": 0.3}}  # fmt: skip
     shots = {
         f"{name}.tif": {"rotation": Rotation.from_matrix(pose[:3, :3]).as_rotvec().tolist(),
                         "translation": pose[:3, 3].tolist(), "camera": "v2"}
@@ -96,6 +97,12 @@ def test_opensfm_takes_the_largest_model(tmp_path, poses):
     models = [{"cameras": {}, "shots": {}}, {"cameras": cameras, "shots": shots, "points": {}}]
     (tmp_path / "reconstruction.json").write_text(json.dumps(models))
     same(tmp_path / "reconstruction.json", poses, 800, 640)
+    (lens,) = read_reference(tmp_path / "reconstruction.json").lenses()
+    assert lens.params == pytest.approx((800, 800, 326.4, 256 - 6.4, 0.1, 0, 0, 0.02, 0.3, 0, 0, 0))
+    cameras["v2"]["projection_type"] = "spherical"
+    (tmp_path / "reconstruction.json").write_text(json.dumps(models))
+    with pytest.raises(SceneError, match=r"camera 'v2' cannot be read: .*it is none of perspective"):
+        read_reference(tmp_path / "reconstruction.json").lenses()
 
 
 def test_scenes_models_and_nerfstudio(tmp_path, poses, small_gray_scene):
@@ -103,18 +110,20 @@ def test_scenes_models_and_nerfstudio(tmp_path, poses, small_gray_scene):
     views = [(f"{name}.png", Camera(K, pose, 640, 512)) for name, pose in poses.items()]
     write_model(tmp_path / "model", views, PointCloud(np.zeros((1, 3)), np.zeros((1, 3), np.float32)))
     same(tmp_path / "model", poses, 500, 640)
+    model = read_reference(tmp_path / "model")
+    assert model.lenses() == [(1, "PINHOLE", 640, 512, (500, 500, 320, 256))] and len(model.points.points) == 1
     folder = write_rgbt_scenes(small_gray_scene, tmp_path / "scene")
     scene = FolderDataset(str(folder), ReadOptions()).load(None)
     export_scene(scene, tmp_path / "export", "nerfstudio")
     cameras = {view.name: view.camera for view in scene.views}
-    known = read_poses(tmp_path / "export" / "transforms.json")
-    assert set(known) == set(read_poses(folder)) == set(cameras)
+    known, _, points = read_reference(tmp_path / "export" / "transforms.json")
+    assert np.allclose(points.points, scene.points.points)
+    assert set(known) == set(read_reference(folder).poses) == set(cameras)
     for name, camera in cameras.items():
-        assert np.allclose(known[name].world_to_camera, camera.world_to_camera, atol=1e-6)
+        assert np.allclose(known[name], camera.world_to_camera, atol=1e-6)
 
 
 SHOT = '[{"cameras": {}, "shots": {"x": {"rotation": [0, 0%s], "translation": [0, 0, 0], "camera": "c"}}}]'
-LENSES = '{"c": {"width": 8, "height": 8, "focal": 1}}'
 STILL = metashape({"x": np.eye(4)})
 
 
@@ -132,9 +141,8 @@ STILL = metashape({"x": np.eye(4)})
         ),
         ("a.zip", "no archive", "a.zip cannot be read"),
         ("a.txt", "# PhotoID, X\n", "a.txt is no list of poses that is read here; Metashape's begins with"),
-        ("a.json", SHOT % "", "a.json is no reconstruction.json of OpenSfM .*KeyError"),
-        ("a.json", SHOT.replace("{}", LENSES) % "", "a.json is no reconstruction.json .*rot_vec"),
-        ("a.json", SHOT.replace("{}", LENSES) % ", NaN", "view x has a pose that is not finite"),
+        ("a.json", SHOT % "", "a.json is no reconstruction.json .*rot_vec"),
+        ("a.json", SHOT % ", NaN", "view x has a pose that is not finite"),
         ("a.json", "[", "a.json is no reconstruction.json"),
         ("a.csv", "", "a.csv holds no poses that are read here; give a scene"),
     ],
@@ -142,7 +150,7 @@ STILL = metashape({"x": np.eye(4)})
 def test_errors_name_the_file(tmp_path, name, content, what):
     (tmp_path / name).write_text(content)
     with pytest.raises(SceneError, match=what):
-        read_poses(tmp_path / name)
+        read_reference(tmp_path / name)
 
 
 @pytest.mark.parametrize(

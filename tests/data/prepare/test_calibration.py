@@ -91,7 +91,7 @@ def test_the_size_chooses_the_lens():
     small, large = (CameraEntry(1, "SIMPLE_PINHOLE", *size, (500.0, 320.0, 256.0)) for size in (SIZE, (4000, 3000)))
     assert start_camera(SIZE, "PINHOLE", None, (large, small)).width == 640
     with pytest.raises(
-        SceneError, match="COLMAP's images are 640×512 px, and the calibrated ones are 4000×3000; exactly"
+        SceneError, match="COLMAP's images are 640×512 px, and the 1 calibrated ones are 4000×3000; exactly"
     ):
         start_camera(SIZE, "PINHOLE", None, (large,))
 

@@ -1,8 +1,10 @@
+import argparse
 import os
 from pathlib import Path
 
 import pytest
 
+from tdgbench.data.prepare.command import add_arguments
 from tests.helpers.command import tdgbench_here
 from tests.helpers.flir import FlirCamera, write_flir
 from tests.helpers.layouts import celsius
@@ -22,14 +24,21 @@ def test_command_says_what_it_does(tmp_path, small_gray_scene):
     assert run.returncode == 1 and "2 usable pictures" in run.stderr and not (tmp_path / "other").exists()
 
 
+def test_help_fits_on_a_screen(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    lines = parser.format_help().splitlines()
+    assert len(lines) <= 24 and max(map(len, lines)) < 80 and "--poses FILE" in parser.format_help()
+
+
 @pytest.mark.parametrize(
     "options",
     [
         ("--mapping", "1", "0", "0", "--homography", "H.txt"),
         ("--degC-per-count", "0"),
         ("--degC-per-count", "nan"),
-        ("--range", "20", "10"),
-        ("--width", "0"),
+        ("--threads", "0"),
         ("--matching", "none"),
     ],
 )

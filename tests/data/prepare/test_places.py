@@ -1,11 +1,10 @@
 import itertools
-from datetime import datetime
 
 import numpy as np
 import pycolmap
 import pytest
 
-from tdgbench.data.prepare.places import Place, coordinates, nearest_pairs, read_place, to_metres
+from tdgbench.data.prepare.places import coordinates, nearest_pairs, read_gps, to_metres
 from tdgbench.scenes import SceneError
 from tests.helpers.exif import degrees, exif_gps, write_placed
 
@@ -14,27 +13,22 @@ XMP = b'<x drone-dji:GpsLatitude="-23.5" drone-dji:GpsLongtitude="+113.25" drone
 
 def test_places_in_files(tmp_path):
     path = tmp_path / "a.jpg"
-    assert read_place(write_placed(path)) == Place()
-    place = read_place(write_placed(path, exif_gps(south=True), "2025:01:17 11:13:43", "25", XMP))
-    assert place.gps == pytest.approx((-23.06, -113.5, 133.25))
-    assert place.seconds == (datetime(2025, 1, 17, 11, 13, 43) - datetime(1970, 1, 1)).total_seconds() + 0.25
-    assert read_place(write_placed(path, exif_gps(GPSAltitudeRef=b"\x01"))).gps[2] == -133.25
-    assert read_place(write_placed(path, xmp=XMP)).gps == (-23.5, 113.25, 133.23)
-    assert read_place(write_placed(path, exif_gps(GPSAltitude=None))).gps is None
+    assert read_gps(write_placed(path)) is None
+    assert read_gps(write_placed(path, exif_gps(south=True), XMP)) == pytest.approx((-23.06, -113.5, 133.25))
+    assert read_gps(write_placed(path, exif_gps(GPSAltitudeRef=b"\x01")))[2] == -133.25
+    assert read_gps(write_placed(path, xmp=XMP)) == (-23.5, 113.25, 133.23)
+    assert read_gps(write_placed(path, exif_gps(GPSAltitude=None))) is None
     nowhere = exif_gps(GPSLatitude=degrees(0, 0, 0), GPSLongitude=degrees(0, 0, 0))
-    assert read_place(write_placed(path, nowhere, "    :  :     :  :  ")) == Place()
+    assert read_gps(write_placed(path, nowhere)) is None
     path.write_bytes(b"no image")
-    assert read_place(path) == Place()
+    assert read_gps(path) is None
 
 
-def test_coordinates_are_metres_or_else_seconds():
-    places = {"a": Place((50.0, 8.0, 100.0), 5.0), "b": Place(None, 6.0), "c": Place((50.001, 8.0, 110.0))}
-    found = coordinates(places)
+def test_coordinates_are_metres():
+    found = coordinates({"a": (50.0, 8.0, 100.0), "c": (50.001, 8.0, 110.0)})
     assert list(found) == ["a", "c"] and found["c"] - found["a"] == pytest.approx([0, 111.2, 10], abs=0.1)
-    times = coordinates({"a": Place(None, 5.0), "b": Place(None, 7.0), "c": Place()})
-    assert {view: time.tolist() for view, time in times.items()} == {"a": [5.0], "b": [7.0]}
-    with pytest.raises(SceneError, match=r"nearest: no file says where or when.*--matching sequential"):
-        coordinates({"a": Place()})
+    with pytest.raises(SceneError, match=r"nearest: no file says where.*--matching sequential"):
+        coordinates({})
 
 
 def test_nearest_pairs():

@@ -48,11 +48,10 @@ def test_both_modalities_are_resampled_alike(distortion, stated):
 def test_output_has_the_thermal_resolution_and_never_more_than_rgb():
     assert make_grid(no_distortion(RGB), same_view(RGB, THERMAL), THERMAL).size == THERMAL
     assert make_grid(no_distortion(RGB), same_view(RGB, (640, 480)), (640, 480)).size == RGB
-    assert make_grid(no_distortion(RGB), same_view(RGB, THERMAL), THERMAL, width=80).size == (80, 60)
     half = inside_photo(PhotoMapping(2.0, 0, 0), RGB, THERMAL, "test")
     assert make_grid(no_distortion(RGB), half, THERMAL).size == (160, 120)  # half of the RGB image, at its resolution
-    with pytest.raises(SceneError, match="--width"):
-        make_grid(no_distortion(RGB), same_view(RGB, THERMAL), THERMAL, width=8)
+    with pytest.raises(SceneError, match="would be 12×9 px"):
+        make_grid(no_distortion(RGB), same_view(RGB, (12, 9)), (12, 9))
 
 
 def test_images_of_equal_pixels_stay_as_they_are():

@@ -57,7 +57,7 @@ def test_models_that_share_images_are_joined(tmp_path, monkeypatch):
 
 def map_apart(groups, database, images, folder, total, options):
     for index, names in enumerate(groups):
-        settings = sfm._pipeline(options)
+        settings = sfm.pipeline(options)
         settings.image_names = names
         (folder / str(index)).mkdir()
         (model,) = pycolmap.incremental_mapping(database, images, folder / str(index), settings).values()
