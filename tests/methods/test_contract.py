@@ -37,8 +37,6 @@ WORKED = ["gradient", "cooling", "one_geometry", "fine_tuned", "rig"]  # example
 OPTIONS = [
     "3dgs thermal_camera.rig=true",
     "msmg thermal_camera.rig=true",
-    "3dgs +density=absgs +filter=mip",
-    "msmg +filter=mip thermal_camera.rig=true",
 ]  # that change parts
 
 
