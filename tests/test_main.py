@@ -23,7 +23,6 @@ JOBS = {  # experiments other than sweeps, and overrides that make them small
     "stress": ("study.cases=opacity 0",),
     "skips": ("study.scenes=[turntable]", "study.skips=[depth]", "budget.iterations=12"),
     "priors": ("study.scenes=[turntable]", "budget.iterations=12"),
-    "prior_quality": ("study.scenes=[turntable]", "study.seeds=[0]", "budget.iterations=12"),
     "budgets": (
         "study.scenes=[turntable]",
         "study.samples=2",
