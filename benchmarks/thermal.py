@@ -28,18 +28,17 @@ from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.thermal import ThermalCamera, correct_values, estimate_camera
 from tdgbench.thermal.camera import normalized_truth
-from tdgbench.thermal.maps import evaluate, line_map
+from tdgbench.thermal.maps import evaluate
 
 BOUNDS = {"offset": 0.1, "gain": 0.02, "vignette": 0.2, "clean": 0.02}  # °C; of gains, a share of 1
 
 
 class ThermalCameraErrors(NamedTuple):
-    """Estimated minus true: offsets (V,) in °C, gains (V,), vignette (H, W) in °C, fixed pattern (H, W) in °C."""
+    """Estimated minus true: offsets (V,) in °C, gains (V,), vignette (H, W) in °C."""
 
     offsets: np.ndarray
     gains: np.ndarray
     vignette: np.ndarray
-    pattern: np.ndarray
 
 
 def errors_of(camera: ThermalCamera, truth: CameraTruth) -> ThermalCameraErrors:
@@ -50,7 +49,6 @@ def errors_of(camera: ThermalCamera, truth: CameraTruth) -> ThermalCameraErrors:
         camera.offsets - true.response.offsets,
         camera.gains - true.response.gains,
         evaluate(camera.vignette, width, height) - true.vignette,
-        line_map(camera.columns, camera.rows, width, height) - true.pattern,
     )
 
 

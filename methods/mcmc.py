@@ -89,7 +89,6 @@ class Relocation(DensityControl):
             self.state.replace_rows(everywhere[:0], added)
         self.state.refresh_bounds()
         self._clear()
-        self._update_filter()
         return change
 
     @torch.no_grad()

@@ -8,7 +8,7 @@ half of its random starts, else a brightness of about 1/√height.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from pydantic import NonNegativeFloat, PositiveFloat
@@ -26,7 +26,6 @@ from tdgbench.training.method import Frame, Method, Share, Step
 from tdgbench.training.part import Network
 
 HARRIS = 0.04  # find_corners
-WEAKEST_CORNER = 0.01  # × the strongest; find_corners computes this, and does not use it
 
 
 class Transmission(Trunk):
@@ -95,7 +94,6 @@ class Thermal3DGS(Method):
     lambda_ssim: Share
     lambda_corner: Share
     corner_end: Share  # of all iterations
-    corner: Literal["released", "described"]  # 1 where the render is flat | 1 at its strongest corner
     transmission: bool  # whether there is such a network
     conduction: bool
     transmission_rates: list[PositiveFloat]  # first and last; they fall log-linearly, as the position rate does
@@ -123,7 +121,7 @@ class Thermal3DGS(Method):
         loss = l1_and_dssim(render.image, target, 1 - self.lambda_ssim - self.lambda_corner, self.lambda_ssim, valid)
         terms = {"thermal": loss}
         if weight > 0:
-            corner = corner_loss(render.image, target, valid, self.corner == "described")
+            corner = corner_loss(render.image, target, valid)
             loss, terms["corner"] = loss + weight * corner, corner
         return Step(loss, terms, render, target, valid)
 
@@ -176,26 +174,18 @@ def in_sight(means: Tensor, scales: Tensor, camera: Pinhole) -> Tensor:
     return ((z > camera.near_plane) & sides[0] & sides[1]).nonzero().squeeze(1)
 
 
-def corner_loss(image: Tensor, target: Tensor, valid: Tensor | None = None, described: bool = False) -> Tensor:
+def corner_loss(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
     """Return the mean of |image − target| · w over valid pixels, w = exp(R) / max exp(R); images (H, W, C) in [0, 1].
 
     R = det M − 0.04 (tr M)², with M of the Sobel responses Ix, Iy of the image in 0 to 255, summed over three channels
-    (`corners_loss`). No window sums M, so that R = −0.04 (Ix² + Iy²)². The gradient also flows through w.
-    described: weight on corners. M is a mean over 3×3 px, w = R / max R without gradient, 0 below WEAKEST_CORNER; the
-    image goes on beyond its border, where it is 0 as released.
+    (`corners_loss`). No window sums M, so that R = −0.04 (Ix² + Iy²)²: w is 1 where the render is flat. The gradient
+    also flows through w.
     """
     gray = 255 * (image.sum(dim=2) if image.shape[2] == 3 else 3 * image[..., 0])
     kernel = image.new_tensor([[-1.0, -2.0, -1.0], [0.0, 0.0, 0.0], [1.0, 2.0, 1.0]])
-    padded = F.pad(gray[None, None], (1, 1, 1, 1), mode="replicate" if described else "constant")
+    padded = F.pad(gray[None, None], (1, 1, 1, 1))
     responses = F.conv2d(padded, torch.stack([kernel, kernel.T])[:, None])[0]
-    if described:
-        y, x = responses.detach()
-        xx, yy, xy = F.avg_pool2d(torch.stack([x * x, y * y, x * y]), 3, stride=1, padding=1)
-        strength = xx * yy - xy.square() - HARRIS * (xx + yy).square()
-        weight = strength / strength.max().clamp_min(torch.finfo(strength.dtype).tiny)
-        weight = weight * (weight >= WEAKEST_CORNER)
-    else:
-        strength = -HARRIS * responses.square().sum(dim=0).square()
-        weight = torch.exp(strength - strength.max())
+    strength = -HARRIS * responses.square().sum(dim=0).square()
+    weight = torch.exp(strength - strength.max())
     weighted = (image - target).abs().mean(dim=2) * weight
     return weighted.mean() if valid is None else weighted[valid].mean()

@@ -1,13 +1,12 @@
 """Veta-GS (Nam et al. 2025): a network moves, turns and grows the Gaussians by view and time; a loss of three features.
 
-As released (nbril0313/Veta-GS, commit e7e56af0). What differs from its description are options: the direction that the
-network gets, and whether the similarity of spectra sends a gradient to the render.
+As released (nbril0313/Veta-GS, commit e7e56af0). There the network gets the world's z axis in camera coordinates in the
+place of a viewing direction, and the similarity of spectra sends no gradient to the render.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -28,7 +27,6 @@ from tdgbench.training.losses import l1_and_dssim, photometric
 from tdgbench.training.method import Frame, Method, Share, Step
 from tdgbench.training.part import Network
 
-Direction = Literal["released", "optical_axis"]
 LOW, HIGH = 100, 200  # Canny's thresholds: utils/loss_utils.py, lines 107 and 108
 
 TIED = 1e-5  # of the axes' variances: closer ones have no gradient of their directions left in float32
@@ -54,16 +52,16 @@ class Deformation(Trunk):
 class MonoSSIM(torch.nn.Module):
     """(1 − l)(1 − s)(1 − e): l of spectra, s of images, e of edges, each by 16 feature maps of a network of its own."""
 
-    def __init__(self, spectrum_gradient: bool) -> None:
-        """spectrum_gradient: whether l depends on the render; as released, the spectrum is that of a copy."""
+    def __init__(self) -> None:
         super().__init__()
-        self.spectrum_gradient = spectrum_gradient
         self.edges, self.images, self.spectra = (_feature_maps() for _ in range(3))
 
     def forward(self, image: Tensor, target: Tensor) -> Tensor:
-        """Return the loss of images (H, W, C): edges and similarity by the first channel, spectra by the last."""
-        given = image if self.spectrum_gradient else image.detach()
-        spectra = similarity(self.spectra, spectrum(given[..., -1]), spectrum(target[..., -1]))
+        """Return the loss of images (H, W, C): edges and similarity by the first channel, spectra by the last.
+
+        As released (utils/loss_utils.py, line 48), the spectrum is that of a copy, without gradient.
+        """
+        spectra = similarity(self.spectra, spectrum(image.detach()[..., -1]), spectrum(target[..., -1]))
         images = similarity(self.images, image[..., 0], target[..., 0])
         edges = similarity(self.edges, edge_map(image[..., 0]), edge_map(target[..., 0]))
         return (1 - spectra) * (1 - images) * (1 - edges)
@@ -104,8 +102,6 @@ class VetaGS(Method):
     warm_up: Share  # of all iterations
     time_noise: NonNegativeFloat  # at the start, × the time between the views that are left in a round
     time_noise_end: Share  # of all iterations
-    view_direction: Direction
-    spectrum_gradient: bool
     deformation_rates: list[PositiveFloat]  # first and last, log-linear
     feature_rates: list[PositiveFloat]
     position_unit: NonNegativeFloat | None  # world units; None: the scene's extent
@@ -116,7 +112,7 @@ class VetaGS(Method):
         self.noise = context.random("time_noise")
         steps = context.budget.rates.means_steps
         torch.manual_seed(context.seed)
-        self.deformation, self.features = Deformation(), MonoSSIM(self.spectrum_gradient)
+        self.deformation, self.features = Deformation(), MonoSSIM()
         for name, module, rates in (
             ("deformation", self.deformation, self.deformation_rates),
             ("features", self.features, self.feature_rates),
@@ -162,7 +158,7 @@ class VetaGS(Method):
             index = torch.arange(len(gaussians), device=gaussians.means.device)
             if of_visible:
                 index = visible_radii(gaussians.detach().activated(degree), camera).nonzero().squeeze(1)
-            view = (center_of(camera), direction_of(camera, self.view_direction))
+            view = (center_of(camera), direction_of(camera))
             changes = self.deformation(gaussians.means[index].detach(), frame.time + noise, *view)
             return deformed(gaussians, degree, camera, index, changes)
 
@@ -174,13 +170,12 @@ def center_of(camera: Pinhole) -> Tensor:
     return -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
 
 
-def direction_of(camera: Pinhole, reading: Direction) -> Tensor:
-    """Return the direction (3,) that the network gets.
+def direction_of(camera: Pinhole) -> Tensor:
+    """Return the direction (3,) that the network gets: minus the third column of the world-to-camera rotation.
 
-    released: minus the third column of the world-to-camera rotation (train.py, line 116), which is the world's z axis
-    in camera coordinates, turned round. optical_axis: its third row, the viewing direction in world coordinates.
+    That is the world's z axis in camera coordinates, turned round (train.py, line 116).
     """
-    return -camera.viewmat[:3, 2] if reading == "released" else camera.viewmat[2, :3]
+    return -camera.viewmat[:3, 2]
 
 
 def deformed(

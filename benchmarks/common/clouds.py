@@ -85,19 +85,17 @@ def device_of(backend: str) -> str:
     return load_backend(backend).device
 
 
-def view_of(
-    cloud: Cloud, leaves: list[Tensor], backend: str, blending: Blending = AS_3DGS, depth: bool = True
-) -> Render:
+def view_of(cloud: Cloud, leaves: list[Tensor], backend: str, depth: bool = True) -> Render:
     """Colour and depth of a cloud on a fast backend; `leaves` are its tensors (see `leaves_of`)."""
     camera = Pinhole(cloud.viewmat, cloud.K, cloud.width, cloud.height).to(leaves[0])
     gaussians = GaussianTensors(*leaves)  # type: ignore[arg-type]
-    return render_view(gaussians, camera, depth=depth, backend=backend, blending=blending)
+    return render_view(gaussians, camera, depth=depth, backend=backend)
 
 
-def on_backend(cloud: Cloud, backend: str, weights: Tensor, blending: Blending = AS_3DGS) -> Result:
+def on_backend(cloud: Cloud, backend: str, weights: Tensor) -> Result:
     """Image and gradients of a cloud on a fast backend in float32; `render` is the oracle. weights: (H, W, D + 2)."""
     leaves = leaves_of(cloud, torch.float32, device_of(backend))
-    view = view_of(cloud, leaves, backend, blending)
+    view = view_of(cloud, leaves, backend)
     image = torch.cat([view.image, view.requested_depth[..., None]], dim=-1)
     w = weights.to(image)
     ((image * w[..., :-1]).sum() + (view.transmittance * w[..., -1]).sum()).backward()

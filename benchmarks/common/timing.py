@@ -11,7 +11,6 @@ import torch
 
 from benchmarks.common.clouds import device_of, leaves_of, view_of
 from tdgbench.bench.backend_check.compare import Cloud
-from tdgbench.splats.blending import AS_3DGS, Blending
 
 Key = TypeVar("Key")
 Part = Literal["forward", "backward", "both"]
@@ -41,9 +40,7 @@ def median_ms(seconds: list[float]) -> float:
     return 1e3 * statistics.median(seconds)
 
 
-def time_pass(
-    cloud: Cloud, part: Part, backend: str, blending: Blending = AS_3DGS, depth: bool = True
-) -> Callable[[], float]:
+def time_pass(cloud: Cloud, part: Part, backend: str, depth: bool = True) -> Callable[[], float]:
     """A function that renders a cloud through autograd, as training does, and returns the seconds of a part."""
     device = device_of(backend)
     leaves = leaves_of(cloud, torch.float32, device)
@@ -59,7 +56,7 @@ def time_pass(
 
     def run() -> float:
         start = now()
-        view = view_of(cloud, leaves, backend, blending, depth)
+        view = view_of(cloud, leaves, backend, depth)
         middle = now()
         if part != "forward":
             torch.autograd.backward([view.image, view.requested_depth] if depth else [view.image], grads)

@@ -216,9 +216,7 @@ class ThermalCameraOptions:
 
 
 def _estimated(camera: ThermalCamera) -> Facts:
-    pattern = {"columns": camera.columns, "rows": camera.rows}
     return {
-        **{name: _rounded(lines) for name, lines in pattern.items() if lines is not None},
         "unit": camera.unit, "terms": list(camera.terms), "undetermined": camera.undetermined,
         "views": list(camera.views), "reference": round(float(camera.reference), DIGITS),
         "offsets": _rounded(camera.offsets), "gains": _rounded(camera.gains), "vignette": _rounded(camera.vignette),

@@ -30,8 +30,7 @@ FILE = "parts.pt"
 def write_parts(trainer: Trainer, folder: Path) -> None:
     """Write the parts that rendering needs, unless all that is rendered are Gaussians."""
     states = {name: part.state_dict() for name, part in trainer.all_parts().items() if part.needed_to_render}
-    is_filtered = any(model.filter is not None for model in trainer.gaussians.values())
-    if trainer.method.renders_plain_gaussians and not states and not is_filtered:
+    if trainer.method.renders_plain_gaussians and not states:
         return
     with whole_file(folder / FILE) as path, path.open("wb") as file:  # of a path, torch would store the name
         torch.save(states, file)

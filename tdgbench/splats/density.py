@@ -23,7 +23,6 @@ from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.scratch import free_buffers
 from tdgbench.splats.cpu.statistics import EMPTY, GradientStatistics, observe_visible
-from tdgbench.splats.filter import Filter
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
@@ -54,15 +53,11 @@ class DensityRules:
     reset_recovery: NonNegativeInt  # × every: the same for opacity resets
     max_gaussians: PositiveInt | None = None  # no growth beyond this
     gradient: GradientKind = "signed"  # to which `grad_threshold` applies
-    split_gradient: GradientKind | None = None  # that splits Gaussians; None: as clones
-    split_threshold: NonNegativeFloat | None = None  # of that gradient; None: `grad_threshold`
-    opacity_cap_every: PositiveInt | None = None  # iterations, until `stop`; None: opacities have no cap
-    opacity_cap: Annotated[float, Field(gt=0, lt=1)] = 0.8
 
     @property
     def uses_absolute(self) -> bool:
         """Whether growth depends on absolute gradients."""
-        return "absolute" in (self.gradient, self.split_gradient)
+        return self.gradient == "absolute"
 
     def is_round(self, iteration: int, iterations: int) -> bool:
         """Return whether a training of so many iterations clones, splits and prunes at an iteration.
@@ -83,11 +78,6 @@ class DensityRules:
         """Return whether a training of so many iterations resets opacities at an iteration."""
         is_due = 0 < iteration < self.stop and iteration % self.opacity_reset_every == 0
         return is_due and iterations - iteration >= self.reset_recovery * self.every
-
-    def is_cap(self, iteration: int, iterations: int) -> bool:
-        """Return whether a training of so many iterations caps opacities at an iteration."""
-        is_due = self.opacity_cap_every is not None and iteration % self.opacity_cap_every == 0
-        return is_due and 0 < iteration < self.stop and iterations - iteration >= self.reset_recovery * self.every
 
     def control(self, extent: float, state: TrainingState, iterations: int) -> DensityControl:
         """Return density control by these rules; see `DensityControl`."""
@@ -110,7 +100,7 @@ class DensityChange:
     """Changes of the set of Gaussians in one iteration."""
 
     densified: bool = False  # a round of cloning, splitting and pruning took place
-    opacity_reset: bool = False  # or a cap
+    opacity_reset: bool = False
     cloned: int = 0
     split: int = 0
     pruned: int = 0
@@ -139,7 +129,6 @@ class TrainingView:
 class DensityControl:
     """Accumulates gradients and radii over views, and changes the set of Gaussians by its rules."""
 
-    filter: Filter | None = None  # of the Gaussians, computed anew in rounds; resets and caps are of what it leaves
     opacity_fields: tuple[str, ...] = ("opacity_logits",)  # that a reset lowers
     accumulated: tuple[str, ...] = ("grad_sum", "view_counts", "max_radii", "absolute_sum")  # tensors, 0 after a round
 
@@ -220,14 +209,11 @@ class DensityControl:
 
     def is_due(self, iteration: int) -> bool:
         """Return whether `update` changes Gaussians at an iteration."""
-        return self.is_round(iteration) or self._ceiling(iteration) is not None
+        return self.is_round(iteration) or self._is_reset(iteration)
 
-    def _ceiling(self, iteration: int) -> float | None:
-        """Return the largest opacity that a reset or cap leaves at an iteration; None if neither is due."""
-        if self.is_active(iteration) and self.rules.is_reset(iteration, self.iterations):
-            return self.rules.opacity_reset_to
-        is_cap = self.is_active(iteration) and self.rules.is_cap(iteration, self.iterations)
-        return self.rules.opacity_cap if is_cap else None
+    def _is_reset(self, iteration: int) -> bool:
+        """Return whether `update` resets opacities at an iteration."""
+        return self.is_active(iteration) and self.rules.is_reset(iteration, self.iterations)
 
     def regularised(self, gradients: Gradients | PendingGradients) -> Gradients | PendingGradients:
         """Return the gradients of an iteration with those of terms of the loss that are density control's own."""
@@ -252,8 +238,7 @@ class DensityControl:
         if not self.is_active(iteration):
             return change
         change.densified = self.is_round(iteration)
-        ceiling = self._ceiling(iteration)
-        change.opacity_reset = ceiling is not None
+        change.opacity_reset = self._is_reset(iteration)
         if change.densified or change.opacity_reset:
             optimizer.flush()
         if change.densified:
@@ -261,21 +246,12 @@ class DensityControl:
             self.state.replace_rows(*self.removed_and_added(change, iteration, generator, decision))
             self._clear()
             free_buffers()
-            self._update_filter()
-        if ceiling is not None:
-            logit = math.log(ceiling / (1 - ceiling))
+        if change.opacity_reset:
+            logit = math.log(self.rules.opacity_reset_to / (1 - self.rules.opacity_reset_to))
             for name in self.opacity_fields:
-                if self.filter is not None and name == "opacity_logits":
-                    self.filter.cap(self.state, ceiling)
-                else:
-                    self.state.values[:, self.state.columns_of(name)].clamp_max_(logit)
+                self.state.values[:, self.state.columns_of(name)].clamp_max_(logit)
                 optimizer.reset_moments(name)
         return change
-
-    def _update_filter(self) -> None:
-        """Compute the filters of all Gaussians anew, if they have any."""
-        if self.filter is not None:
-            self.filter.update(self.state)
 
     def removed_and_added(
         self, change: DensityChange, iteration: int, generator: torch.Generator, decision: GrowthDecision | None
@@ -285,7 +261,7 @@ class DensityControl:
         old = self.state.split(values)
         largest = old.log_scales.amax(dim=1).exp_()
         small = largest <= rules.clone_max_scale * self.extent
-        by_gradients = self._by_gradients(small)
+        by_gradients = self._by_gradients()
         decision = decision or by_gradients
         change.not_grown = int((by_gradients.grow & ~decision.grow).sum())
         grow = decision.grow
@@ -313,25 +289,12 @@ class DensityControl:
         """Return which Gaussians (n,) a round prunes for their opacity."""
         return gaussians.opacities < self.rules.min_opacity
 
-    def _by_gradients(self, small: Tensor | None = None) -> GrowthDecision:
-        """Apply the rule of 3DGS: a Gaussian grows if the mean gradient of its image position is large.
-
-        small: (N,) bool: Gaussians that are cloned, None: all; others are split, by a gradient and threshold that may
-        differ.
-        """
-        rules = self.rules
-        grads = self._mean_gradients(rules.gradient)
-        grow = grads >= rules.grad_threshold
-        if small is not None and (rules.split_gradient is not None or rules.split_threshold is not None):
-            threshold = rules.grad_threshold if rules.split_threshold is None else rules.split_threshold
-            of_large = self._mean_gradients(rules.split_gradient or rules.gradient)
-            grads, grow = torch.where(small, grads, of_large), torch.where(small, grow, of_large >= threshold)
+    def _by_gradients(self) -> GrowthDecision:
+        """Apply the rule of 3DGS: a Gaussian grows if the mean gradient of its image position is large."""
+        total = self.absolute_sum if self.rules.uses_absolute else self.grad_sum
+        grads = torch.nan_to_num(total / self.view_counts)
+        grow = grads >= self.rules.grad_threshold
         return GrowthDecision(grads, grow, torch.zeros_like(grow))
-
-    def _mean_gradients(self, kind: GradientKind) -> Tensor:
-        """Return the mean length (N,) of the gradients of a kind, in units of half the image."""
-        total = self.grad_sum if kind == "signed" else self.absolute_sum
-        return torch.nan_to_num(total / self.view_counts)
 
     def _children(self, parents: Tensor, generator: torch.Generator) -> Tensor:
         """Split parents (n, columns) into smaller Gaussians (split_into · n, columns), at positions drawn from them."""

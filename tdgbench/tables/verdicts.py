@@ -5,7 +5,7 @@
 - `better`, `worse`: the interval lies entirely outside of the margin, on one side.
 - `undecided`: anything else, with the number of seeds that would probably decide it.
 
-Each of the first three is wrong in at most 5 % of cases (`python -m benchmarks.verdicts` shows it). Print hides up to
+Each of the first three is wrong in at most 5 % of cases (docs/findings/verdicts.md). Print hides up to
 half a unit of the last digit, so a verdict must hold for every number that prints the same: half a unit narrows the
 margin for `reproduced` and widens it for `better` and `worse`. Otherwise the published number counts as exact, because
 no paper gives its spread over seeds. The 5 % hold for a number of seeds that was chosen beforehand; adding seeds until

@@ -1,9 +1,9 @@
 """The response of a thermal camera, estimated from a scene.
 
-value = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y) + pattern(x, y) + noise: that is gain_v · T plus
-an offset of view v, written so that offsets are those at the reference temperature, where they do not depend on the
-gains. Scale and zero of T are not observable. By convention the training views have a mean offset of 0 and a mean gain
-of 1, and vignette and pattern have a mean of 0 over the image, which keeps the mean temperature of the scene.
+value = T + (gain_v − 1) (T − reference) + offset_v + vignette(x, y) + noise: that is gain_v · T plus an offset of view
+v, written so that offsets are those at the reference temperature, where they do not depend on the gains. Scale and zero
+of T are not observable. By convention the training views have a mean offset of 0 and a mean gain of 1, and the vignette
+has a mean of 0 over the image, which keeps the mean temperature of the scene.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from tdgbench.thermal.maps import evaluate, line_map
+from tdgbench.thermal.maps import evaluate
 
 if TYPE_CHECKING:
     from tdgbench.scenes.synthetic.truth import CameraTruth
@@ -31,12 +31,11 @@ class ViewResponses(NamedTuple):
 class ThermalCamera:
     """Estimated response of V training views. Values are in °C, or in image units where a scene has no temperatures.
 
-    vignette: (K,) coefficients of `maps`. columns, rows: (W,), (H,) fixed pattern, None if there is none to
-    be told from noise. residual_before, residual_after: robust standard deviation of the values of a point in different
-    views, slightly blurred, as they are and with the camera. expected: offsets of other views by name, interpolated
-    from their neighbours in the sequence; none of their pixels was read. terms: those that held-out views support, of
-    vignette, offsets, gains and pattern; the others are those of an ideal camera. undetermined: directions of the
-    estimated numbers, beside the mean offset and the mean gain, that the prior determines more than the images do.
+    vignette: (K,) coefficients of `maps`. residual_before, residual_after: robust standard deviation of the values of a
+    point in different views, slightly blurred, as they are and with the camera. expected: offsets of other views by
+    name, interpolated from their neighbours in the sequence; none of their pixels was read. terms: those that held-out
+    views support, of vignette, offsets and gains; the others are those of an ideal camera. undetermined: directions of
+    the estimated numbers, beside the mean offset and the mean gain, that the prior determines more than the images do.
     """
 
     unit: str  # "°C" or "image"
@@ -45,8 +44,6 @@ class ThermalCamera:
     offsets: np.ndarray
     gains: np.ndarray
     vignette: np.ndarray
-    columns: np.ndarray | None
-    rows: np.ndarray | None
     residual_before: float
     residual_after: float
     expected: Mapping[str, float] = field(default_factory=dict)
@@ -68,23 +65,14 @@ class ThermalCamera:
         """The unit, ready to follow a number."""
         return "" if self.unit == "image" else f" {self.unit}"
 
-    def shared(self, width: int, height: int) -> np.ndarray:
-        """Return vignette plus fixed pattern (height, width), which all views share.
-
-        Raises ValueError where the fixed pattern was estimated from images of another size.
-        """
-        return evaluate(self.vignette, width, height) + line_map(self.columns, self.rows, width, height)
-
     @property
     def summary(self) -> str:
         """One line for notes and reports."""
         unit, corners = self.suffix, evaluate(self.vignette, 64, 48)
-        lines = [name for name in ("columns", "rows") if getattr(self, name) is not None]
-        pattern = f", a fixed pattern by {' and '.join(lines)}" if lines else ""
         return (
             f"offsets {self.offsets.min():+.2f} to {self.offsets.max():+.2f}{unit}, gains {self.gains.min():.3f} to "
-            f"{self.gains.max():.3f}, vignette {np.ptp(corners):.2f}{unit} from end to end"
-            f"{pattern}; values of a point differ by {self.residual_after:.3g}{unit} between views, "
+            f"{self.gains.max():.3f}, vignette {np.ptp(corners):.2f}{unit} from end to end; "
+            f"values of a point differ by {self.residual_after:.3g}{unit} between views, "
             f"{self.residual_before:.3g} before"
         )
 
@@ -107,11 +95,10 @@ def normalized(response: ViewResponses) -> ViewResponses:
 
 
 class Truth(NamedTuple):
-    """The true camera, normalized as an estimated one is: offsets and gains (V,), what is shared (H, W), in °C."""
+    """The true camera, normalized as an estimated one is: offsets and gains (V,), vignette (H, W), in °C."""
 
     response: ViewResponses
     vignette: np.ndarray
-    pattern: np.ndarray
 
 
 def normalized_truth(truth: CameraTruth, views: Sequence[str], reference: float) -> Truth:
@@ -120,4 +107,4 @@ def normalized_truth(truth: CameraTruth, views: Sequence[str], reference: float)
     gains = true.gains[index]
     offsets = true.offsets[index] + (gains - 1) * (reference - true.reference) + true.vignette.mean()
     response = normalized(ViewResponses(offsets + true.pattern.mean(), gains))
-    return Truth(response, true.vignette - true.vignette.mean(), true.pattern - true.pattern.mean())
+    return Truth(response, true.vignette - true.vignette.mean())

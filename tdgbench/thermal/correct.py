@@ -10,6 +10,7 @@ import numpy as np
 from tdgbench.scenes import Scene, SceneError, TemperatureRange, View
 from tdgbench.thermal.camera import ThermalCamera
 from tdgbench.thermal.estimate import units
+from tdgbench.thermal.maps import evaluate
 from tdgbench.thermal.response import ImageResponse
 
 DIGITS = 7  # of image values, in a record
@@ -29,7 +30,7 @@ def correct_values(values: np.ndarray, view: str, camera: ThermalCamera) -> np.n
     """
     offset, gain = camera.of_view(view)
     height, width = values.shape
-    return camera.reference + (values - camera.reference - offset - camera.shared(width, height)) / gain
+    return camera.reference + (values - camera.reference - offset - evaluate(camera.vignette, width, height)) / gain
 
 
 def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
@@ -67,15 +68,12 @@ def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
 
 
 def _response(camera: ThermalCamera, scale: float, zero: float, ends: tuple[float, float]) -> ImageResponse:
-    def rounded(values: np.ndarray | None) -> tuple[float, ...]:
-        return () if values is None or not values.any() else tuple(np.round(values / scale, DIGITS).tolist())
-
     of_views = {name: camera.of_view(name) for name in (*camera.views, *camera.expected)}
     return ImageResponse(
         reference=round((camera.reference - zero) / scale, DIGITS),
         offsets={name: round(offset / scale, DIGITS) for name, (offset, _) in of_views.items() if offset},
         gains={name: round(gain, DIGITS) for name, (_, gain) in of_views.items() if gain != 1},
-        vignette=rounded(camera.vignette), columns=rounded(camera.columns), rows=rounded(camera.rows),
+        vignette=tuple(np.round(camera.vignette / scale, DIGITS).tolist()) if camera.vignette.any() else (),
         low=ends[0], high=ends[1],
     )  # fmt: skip
 
@@ -88,8 +86,7 @@ def _range(values: list[np.ndarray]) -> tuple[float, float]:
 
 
 def _fingerprint(scene: Scene, camera: ThermalCamera) -> str:
-    arrays = (camera.offsets, camera.gains, camera.vignette, camera.columns, camera.rows)
-    parts = (b"none" if array is None else array.tobytes() for array in arrays)
+    parts = (array.tobytes() for array in (camera.offsets, camera.gains, camera.vignette))
     return scene.fingerprint_with(str(camera.reference).encode(), *parts)
 
 

@@ -67,15 +67,14 @@ def _well_seen(seen: PointSamples, views: int) -> PointSamples:
 
 def _estimate(scene: Scene, seen: PointSamples) -> ThermalCamera:
     (name, scale, zero), train = units(scene), scene.train
-    slope, detail = scale * seen.slope, scale * seen.detail
-    data = replace(seen, value=scale * seen.value + zero, detail=detail, slope=slope)
+    data = replace(seen, value=scale * seen.value + zero, slope=scale * seen.slope)
     counts = np.bincount(seen.view, minlength=len(train))
     stds = ExpectedErrors.of(name, float(np.std(data.value)) or 1.0)
     place = sequence_positions([view.name for view in scene.views])
     at = np.array([place[view.name] for view in train])
-    selected, terms, drift = fit_selected_terms(data, stds, at)
-    response = normalized(selected.fit.response)
-    undetermined = max(0, selected.fit.undetermined - terms.offsets - terms.gains)
+    fitted, terms, drift = fit_selected_terms(data, stds, at)
+    response = normalized(fitted.response)
+    undetermined = max(0, fitted.undetermined - terms.offsets - terms.gains)
     expected = {}
     if drift is not None:
         known, others = counts > 0, [view.name for view in scene.test]
@@ -84,14 +83,12 @@ def _estimate(scene: Scene, seen: PointSamples) -> ThermalCamera:
     return ThermalCamera(
         unit=name,
         views=tuple(view.name for view in train),
-        reference=selected.fit.reference,
+        reference=fitted.reference,
         offsets=response.offsets,
         gains=response.gains,
-        vignette=selected.fit.vignette,
-        columns=selected.columns,
-        rows=selected.rows,
-        residual_before=selected.fit.before,
-        residual_after=selected.fit.after,
+        vignette=fitted.vignette,
+        residual_before=fitted.before,
+        residual_after=fitted.after,
         expected=expected,
         terms=tuple(name for name, used in terms._asdict().items() if used),
         undetermined=undetermined,

@@ -38,7 +38,6 @@ class Terms(NamedTuple):
     vignette: bool = False
     offsets: bool = False
     gains: bool = False
-    pattern: bool = False
 
     def free(self, data: PointSamples) -> np.ndarray:
         """Return which of the parameters (2 V + K,) are estimated."""

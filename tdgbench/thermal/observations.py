@@ -30,15 +30,14 @@ PATCHES = 8  # columns and rows of patches of a view
 class PointSamples:
     """S pairs of a point and one of V training views that sees it.
 
-    point, view: (S,) indices. value: (S,) of the blurred image. detail: (S,) original minus blurred value. slope: (S,)
-    length of the gradient, per px. x, y: (S,) position in px. terms: (S, K) polynomials there. cluster: (S,) of points
-    that lie together. sizes: (V, 2) width and height of the views, px. points: number of points.
+    point, view: (S,) indices. value: (S,) of the blurred image. slope: (S,) length of the gradient, per px. x, y: (S,)
+    position in px. terms: (S, K) polynomials there. cluster: (S,) of points that lie together. sizes: (V, 2) width and
+    height of the views, px. points: number of points.
     """
 
     point: np.ndarray
     view: np.ndarray
     value: np.ndarray
-    detail: np.ndarray
     slope: np.ndarray
     x: np.ndarray
     y: np.ndarray
@@ -49,7 +48,7 @@ class PointSamples:
 
     def select(self, keep: np.ndarray) -> PointSamples:
         """Return the pairs where `keep` (S,) is true; views and points keep their numbers."""
-        names = ("point", "view", "value", "detail", "slope", "x", "y", "terms", "cluster")
+        names = ("point", "view", "value", "slope", "x", "y", "terms", "cluster")
         return replace(self, **{name: getattr(self, name)[keep] for name in names})
 
     def shared(self) -> PointSamples:
@@ -62,12 +61,6 @@ class PointSamples:
     def views(self) -> int:
         """Number of views."""
         return len(self.sizes)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Numbers of columns and rows; views of several sizes have no common ones: 0."""
-        width, height = self.sizes[0].tolist()
-        return (width, height) if (self.sizes == self.sizes[0]).all() else (0, 0)
 
     @cached_property
     def patch(self) -> np.ndarray:
@@ -88,13 +81,13 @@ def find_observations(views: Sequence[View], points: np.ndarray) -> PointSamples
     parts: list[tuple[np.ndarray, ...]] = []
     for index, view in enumerate(views):
         number, x, y = _seen(view.camera, points, used)
-        value, detail, slope, usable = _values(view, x, y)
-        whole = (number, np.full(len(number), index), value, detail, slope, x, y)
+        value, slope, usable = _values(view, x, y)
+        whole = (number, np.full(len(number), index), value, slope, x, y)
         parts.append(tuple(array[usable] for array in whole))
-    point, of_view, value, detail, slope, x, y = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    point, of_view, value, slope, x, y = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     sizes = np.array([(view.camera.width, view.camera.height) for view in views])
     terms, cluster = legendre_basis(*(np.stack([x, y]) / sizes[of_view].T)), _clusters(points)[point]
-    return PointSamples(point, of_view, value, detail, slope, x, y, terms, cluster, sizes, len(points)).shared()
+    return PointSamples(point, of_view, value, slope, x, y, terms, cluster, sizes, len(points)).shared()
 
 
 def _clusters(points: np.ndarray) -> np.ndarray:
@@ -115,10 +108,9 @@ def _seen(camera: Camera, points: np.ndarray, used: np.ndarray) -> tuple[np.ndar
 
 
 def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return values, details and slopes at positions in px, and whether each was measured.
+    """Return values and slopes at positions in px, and whether each was measured.
 
-    With its detail, a value is that of the pixel, which has the fixed pattern of one column and row, moved from the
-    pixel's centre to the position by the gradient of the blurred image.
+    A value is that of the blurred pixel, moved from its centre to the position by the gradient.
     """
     image = nearest_valid(view.thermal.mean(axis=2, dtype=np.float64), view.valid)  # a blur mixes pixels
     height, width = image.shape
@@ -130,4 +122,4 @@ def _values(view: View, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
     unusable = (ndimage.minimum_filter(image, size) < SATURATED) | (ndimage.maximum_filter(image, size) > 1 - SATURATED)
     if view.valid is not None:
         unusable |= ndimage.minimum_filter(view.valid, size) == 0
-    return value, (image - smooth)[row, column], np.hypot(down, right), ~unusable[row, column]
+    return value, np.hypot(down, right), ~unusable[row, column]

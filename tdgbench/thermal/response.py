@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, with_config
 
-from tdgbench.thermal.maps import TERMS, evaluate, line_map
+from tdgbench.thermal.maps import TERMS, evaluate
 
 
 @with_config(ConfigDict(extra="forbid", allow_inf_nan=False))
@@ -17,17 +17,15 @@ from tdgbench.thermal.maps import TERMS, evaluate, line_map
 class ImageResponse:
     """Response of a camera in image values, and the range of the images that a model was trained on.
 
-    shown = T + (gain − 1) (T − reference) + offset + vignette(x, y) + pattern(x, y), T = low + (high − low) · render.
+    shown = T + (gain − 1) (T − reference) + offset + vignette(x, y), T = low + (high − low) · render.
     offsets, gains: by view. Test views are not read: their offset is interpolated in the sequence, their gain is 1.
-    vignette: (K,) coefficients of `maps`. columns, rows: fixed pattern.
+    vignette: (K,) coefficients of `maps`.
     """
 
     reference: float = 0.0
     offsets: Mapping[str, float] = field(default_factory=dict)
     gains: Mapping[str, float] = field(default_factory=dict)
     vignette: tuple[float, ...] = ()
-    columns: tuple[float, ...] = ()
-    rows: tuple[float, ...] = ()
     low: float = 0.0
     high: float = 1.0
 
@@ -47,18 +45,15 @@ class ImageResponse:
         if self.is_ideal:
             return values
         gain = self.gains.get(view, 1.0)
-        added = self.offsets.get(view, 0.0) + (1 - gain) * self.reference + self.shared(*values.shape[1::-1])
+        added = np.full(values.shape[:2], self.offsets.get(view, 0.0) + (1 - gain) * self.reference)
+        if self.vignette:
+            added += evaluate(np.array(self.vignette), *values.shape[1::-1])
         return _float32(gain * values + added[..., None])
 
     @property
     def is_ideal(self) -> bool:
         """Whether the camera has no response of its own."""
-        return not (self.offsets or self.gains or self.vignette or self.columns or self.rows)
-
-    def shared(self, width: int, height: int) -> np.ndarray:
-        """Return vignette plus fixed pattern (height, width), which all views share."""
-        pattern = line_map(self.columns, self.rows, width, height)
-        return pattern + evaluate(np.array(self.vignette), width, height) if self.vignette else pattern
+        return not (self.offsets or self.gains or self.vignette)
 
     def as_json(self) -> dict[str, Any]:
         """Return the fields for a record, without empty ones."""

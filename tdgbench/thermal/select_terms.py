@@ -1,4 +1,4 @@
-"""Choose and fit the response and fixed pattern that explain the values of points in different views.
+"""Choose and fit the response that explains the values of points in different views.
 
 Held-out views decide which terms are fitted. A jackknife over clusters of points then shrinks uncertain parameters.
 Errors outside the model (reflections, sunlit slopes, moving points) are correlated over large parts of a scene. They
@@ -8,18 +8,16 @@ estimate varies as much as it is large when a cluster is left out is shrunk towa
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from tdgbench.thermal.camera import ViewResponses
 from tdgbench.thermal.expected_errors import NORMAL, Drift, ExpectedErrors, fit_drift
 from tdgbench.thermal.fit import HUBER, Fit, System, Terms, deviation, fit, predict
-from tdgbench.thermal.maps import TERMS, line_pattern
-from tdgbench.thermal.observations import BLUR, PointSamples
+from tdgbench.thermal.maps import TERMS
+from tdgbench.thermal.observations import PointSamples
 
-PASSES = 2  # over response and fixed pattern
 LADDER = (  # from the simplest
     Terms(), Terms(vignette=True), Terms(offsets=True), Terms(vignette=True, offsets=True),
     Terms(offsets=True, gains=True), Terms(vignette=True, offsets=True, gains=True),
@@ -32,53 +30,20 @@ CUT = 3.0  # standard deviations; larger errors of prediction count as this larg
 FEWEST_VALUES = 10  # of a held-out view
 FIT_ROUNDS = 10
 RIGHTWARDS = TERMS.index((1, 0))  # the polynomial that is positive in the right half of an image
-
-Lines = tuple[np.ndarray | None, np.ndarray | None]  # fixed pattern by columns and by rows
 MIN_VARIANCE = 1e-9  # variance of a direction, in those of the prior
-
-
-@dataclass(frozen=True)
-class ResponseFit:
-    """A fit; columns (W,) and rows (H,) of the fixed pattern, None where there is none."""
-
-    fit: Fit
-    columns: np.ndarray | None = None
-    rows: np.ndarray | None = None
-
-    def blurred(self, data: PointSamples) -> np.ndarray:
-        """Return fixed pattern (S,) in the blurred values."""
-        return _at(_smooth(self.columns), _smooth(self.rows), data)
 
 
 def fit_selected_terms(
     data: PointSamples, stds: ExpectedErrors, positions: np.ndarray
-) -> tuple[ResponseFit, Terms, Drift | None]:
-    """Fit the terms that held-out views support, alternating between response and fixed pattern.
-
-    positions: (V,) positions of the views in the sequence, NaN if unknown.
-    """
+) -> tuple[Fit, Terms, Drift | None]:
+    """Fit the terms that held-out views support. positions: (V,) of the views in the sequence, NaN if unknown."""
     terms = choose_terms(data, stds, positions)
     fitted = fit(data, terms, prior_precision(data, stds))
     drift = _drift(fitted, data, terms, stds, positions)
     precision = prior_precision(data, stds, drift, positions)
     if drift is not None:
         fitted = fit(data, terms, precision)
-    best = ResponseFit(shrink_towards_ideal(data, fitted, terms, precision))
-    for _ in range(PASSES if data.size != (0, 0) else 0):
-        weights = best.fit.weights
-        left = best.fit.residuals + best.blurred(data) + _within_points(data.detail, weights, data)
-        lines = _lines(data, left, weights)
-        if not terms.pattern:
-            used = weights > 0
-            without = left[used]
-            remaining = (left - _held_out_pattern(data, left, weights))[used]
-            terms = terms._replace(pattern=_size(remaining, without) < BETTER * _size(without, without))
-        if not terms.pattern:
-            break
-        cleaned = replace(data, value=data.value - ResponseFit(best.fit, *lines).blurred(data))
-        again = shrink_towards_ideal(cleaned, fit(cleaned, terms, precision), terms, precision)
-        best = ResponseFit(replace(again, before=best.fit.before), *lines)
-    return best, terms, drift
+    return shrink_towards_ideal(data, fitted, terms, precision), terms, drift
 
 
 def choose_terms(data: PointSamples, stds: ExpectedErrors, positions: np.ndarray) -> Terms:
@@ -116,27 +81,6 @@ def _drift(fitted: Fit, data: PointSamples, terms: Terms, stds: ExpectedErrors, 
         return None
     offsets, known = fitted.response.offsets, np.bincount(data.view, minlength=data.views) > 0
     return fit_drift(positions, offsets - offsets[known].mean(), known, stds.offsets)
-
-
-def _within_points(values: np.ndarray, weights: np.ndarray, data: PointSamples) -> np.ndarray:
-    """Return values (S,) less the weighted mean of their point."""
-    total = np.maximum(np.bincount(data.point, weights, data.points), 1e-12)
-    return values - (np.bincount(data.point, weights * values, data.points) / total)[data.point]
-
-
-def _lines(data: PointSamples, left: np.ndarray, weights: np.ndarray) -> Lines:
-    """Return patterns of columns and rows of what is left (S,) of the values."""
-    columns = line_pattern(left, weights, data.x.astype(int), data.size[0])
-    rows = line_pattern(left - _at(columns, None, data), weights, data.y.astype(int), data.size[1])
-    return columns, rows
-
-
-def _held_out_pattern(data: PointSamples, left: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return fixed pattern (S,) at values, each from views of other folds."""
-    pattern, fold = np.zeros(len(left)), data.view % FOLDS
-    for number in range(FOLDS):
-        pattern[fold == number] = _at(*_lines(data, left, np.where(fold == number, 0, weights)), data)[fold == number]
-    return pattern
 
 
 def _size(errors: np.ndarray, simplest: np.ndarray) -> float:
@@ -198,16 +142,6 @@ def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
         sigma = max(NORMAL * float(np.median(np.abs(left))), 1e-9)
         weights = HUBER / np.maximum(np.abs(left) / sigma, HUBER)
     return float(line[0]), float(line[1] - line[0] * x.mean())
-
-
-def _smooth(lines: np.ndarray | None) -> np.ndarray | None:
-    return None if lines is None else gaussian_filter1d(lines, BLUR, mode="nearest")
-
-
-def _at(columns: np.ndarray | None, rows: np.ndarray | None, data: PointSamples) -> np.ndarray:
-    """Return pattern (S,) of columns and rows at values."""
-    across = 0.0 if columns is None else columns[data.x.astype(int)]
-    return np.zeros(len(data.value)) + across + (0.0 if rows is None else rows[data.y.astype(int)])
 
 
 def shrink_towards_ideal(data: PointSamples, fitted: Fit, terms: Terms, precision: np.ndarray) -> Fit:

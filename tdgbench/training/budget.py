@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
 from tdgbench.splats.density import DensityRules
-from tdgbench.splats.filter import FilterRule
 from tdgbench.splats.optimizer import LearningRates
 
 SCALES = (8, 6, 4, 3, 2, 1)
@@ -87,17 +86,12 @@ class Budget:
     sh_every: PositiveInt  # iterations after which the SH degree in use rises by one
     rates: LearningRates
     density: DensityRules
-    filter: FilterRule | None = None  # of each Gaussian; None: none but 3DGS's 0.3 px² on the image
     background: Literal["black", "mean"] = "black"  # behind the Gaussians; mean: of the training images
     growth: GrowthRule | None = None  # what grows; None: by the gradients' threshold of `density`
     pixels: PixelRule | None = None  # resolution of the images; None: full from the start
     settling: SettlingRule | None = None  # when to stop, by held-out views; None: by `plateau`
     plateau: PlateauRule | None = None  # rule for stopping early; None: never
     expected_iterations: PositiveInt | None = None  # where trainings mostly end before the last one; None: they do not
-
-    def __post_init__(self) -> None:
-        if self.filter is not None and self.growth is not None:
-            raise ValueError("budget.growth does not see what budget.filter does; set one of them to null")
 
     @property
     def method_iterations(self) -> int:

@@ -14,7 +14,6 @@ from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import choose_backend, load_backend
-from tdgbench.splats.filter import FIELD, Filter
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
 from tdgbench.training.curriculum import Curriculum, schedule
@@ -161,15 +160,11 @@ class Context:
         start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self._background(images), self.rig if images is THERMAL else None
         of_rig = {} if rig is None else {"camera_of": rig.camera}
-        growth, views, growth_test, filters = self.budget.growth, self.scene.train, None, None
+        growth, growth_test = self.budget.growth, None
         if growth is not None:
-            growth_test = GrowthTest(growth, views, images, self.curriculum, self.backend, background, **of_rig)
-        if self.budget.filter is not None:
-            filters = Filter(self.budget.filter, [view.camera for view in views], **of_rig)
-        rates = dict(learning_rates or {})
-        if filters is not None:
-            start.extra_fields[FIELD], rates[FIELD] = torch.zeros_like(start.means[:, :1]), 0.0
-        options = ModelOptions(name or modality, rig, growth_test, background, rates, position_unit, filters)
+            views, curriculum = self.scene.train, self.curriculum
+            growth_test = GrowthTest(growth, views, images, curriculum, self.backend, background, **of_rig)
+        options = ModelOptions(name or modality, rig, growth_test, background, learning_rates or {}, position_unit)
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(start, budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
         return self.add_part(options.name, model)

@@ -14,7 +14,6 @@ from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.density import TrainingView
-from tdgbench.splats.filter import Filter
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
@@ -34,7 +33,7 @@ class ModelOptions:
     name: for messages. rig: of the camera whose images it is trained on; None: the poses are that camera's.
     growth_test: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians; None:
     black. learning_rates: of fields, in the place of the budget's; see `Adam`. position_unit: world units, of the
-    means' learning rate; None: the scene's extent. filter: of Gaussians with its field; None: none.
+    means' learning rate; None: the scene's extent.
     """
 
     name: str = "thermal"
@@ -43,7 +42,6 @@ class ModelOptions:
     background: torch.Tensor | None = None
     learning_rates: Mapping[str, float | str] = field(default_factory=dict)
     position_unit: float | None = None
-    filter: Filter | None = None
 
 
 class SplatModel(Part):
@@ -69,9 +67,6 @@ class SplatModel(Part):
         unit = options.position_unit or extent
         self.optimizer = Adam(self.state, budget.rates, unit, options.learning_rates)
         self.density = budget.density.control(extent, self.state, budget.iterations)
-        self.filter = self.density.filter = options.filter
-        if self.filter is not None:
-            self.filter.update(self.state)
         self.skips = skips or Skips()
         self.work = Work()
         self.growth_test, self.background = options.growth_test, options.background
@@ -126,12 +121,8 @@ class SplatModel(Part):
 
         tolerance = self.optimizer.tolerance(self._iteration) if self.skips.unseen.allowed else None
         pinhole = camera if isinstance(camera, Pinhole) else Pinhole.of(camera)
-        if self.filter is not None:
-            hook = self.filter.widened(hook)
         if self.rig is not None:
             hook, pinhole = self.rig.through(hook, pinhole)
-        if self.filter is not None and hook is not None:
-            hook, pinhole = self.filter.compensated(hook, pinhole)
         background = self.background if background is None else background
         absgrad = self.density.rules.uses_absolute and self.density.is_active(self._iteration)
         options = StateOptions(self.degree, depth, self.blending, tolerance, background, hook, absgrad)
@@ -200,10 +191,6 @@ class SplatModel(Part):
                 decision = self.growth_test.decide(self.gaussians, self.degree, number)
         change = self.density.update(self.optimizer, iteration, self._generator, decision)
         self.work.add_change(change)
-        rules = self.density.rules
-        if self.filter is not None and self.filter.is_due(iteration, rules.stop, self.budget.iterations):
-            self.optimizer.flush()
-            self.filter.update(self.state)
         bad = None
         if gradients is not None:
             gradients = self.density.regularised(gradients)

@@ -23,7 +23,6 @@ CELLS = ("method=3dgs,tdg", "scene=turntable", *QUICK)
     ("launcher", "options", "threads"),
     [
         ("joblib", ("hydra.launcher.n_jobs=2",), max(1, pool.available_cores() // 2)),
-        ("submitit_local", ("hydra.launcher.timeout_min=10", "hydra.launcher.cpus_per_task=1"), 1),
         ("ray", ("hydra.launcher.ray.init.num_cpus=2",), 1),
     ],
 )

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shutil
 
 import pytest
 
@@ -72,28 +73,30 @@ def spoil_with_fifo(path):
     os.mkfifo(path)
 
 
-@pytest.mark.parametrize(
-    "spoil",
-    [
-        lambda path: path.write_bytes(b"\xff\xfe"),
-        lambda path: path.write_text("[" * 100_000),
-        lambda path: path.write_text("[1]"),
-        lambda path: path.write_text(path.read_text().replace('"ok"', '"fine"')),
-        lambda path: path.write_text(path.read_text().replace(f'"schema": {SCHEMA}', '"schema": 7')),
-        spoil_with_folder,
-        spoil_with_fifo,
-    ],
-    ids=["bytes", "deep", "list", "status", "schema", "folder", "fifo"],
-)
+SPOILS = {
+    "bytes": lambda path: path.write_bytes(b"\xff\xfe"),
+    "deep": lambda path: path.write_text("[" * 100_000),
+    "list": lambda path: path.write_text("[1]"),
+    "status": lambda path: path.write_text(path.read_text().replace('"ok"', '"fine"')),
+    "schema": lambda path: path.write_text(path.read_text().replace(f'"schema": {SCHEMA}', '"schema": 7')),
+    "folder": spoil_with_folder,
+    "fifo": spoil_with_fifo,
+}
+
+
 @pytest.mark.parametrize("works", [True, False])
-def test_a_broken_record_is_replaced(tiny_cell, monkeypatch, spoil, works):
+def test_a_broken_record_is_replaced(tiny_cell, monkeypatch, tmp_path, works):
     assert tiny_cell().status == "ok"
-    spoil(tiny_cell.folder / "record.json")
+    whole = shutil.copytree(tiny_cell.experiment, tmp_path / "whole")
     if not works:
         monkeypatch.setattr(GaussianSplatting, "setup", fails(ValueError("broken")))
-    outcome = tiny_cell()
-    assert outcome.status == ("ok" if works else "failed") and "could not" not in outcome.message
-    assert statuses(tiny_cell.experiment) == [outcome.status]
+    for name, spoil in SPOILS.items():
+        shutil.rmtree(tiny_cell.experiment)
+        shutil.copytree(whole, tiny_cell.experiment)
+        spoil(tiny_cell.folder / "record.json")
+        outcome = tiny_cell()
+        assert outcome.status == ("ok" if works else "failed") and "could not" not in outcome.message, name
+        assert statuses(tiny_cell.experiment) == [outcome.status], name
 
 
 def test_a_failed_replacement_is_finished_before_the_cell_is_looked_up(tiny_cell):

@@ -22,7 +22,7 @@ def loose(data: PointSamples) -> np.ndarray:
 
 def observations(
     offsets: np.ndarray, gains: np.ndarray, *, coefficients: np.ndarray | None = None,
-    columns: np.ndarray | None = None, points: int = 400, noise: float = 0.05, outliers: float = 0.0, seed: int = 0,
+    points: int = 400, noise: float = 0.05, outliers: float = 0.0, seed: int = 0,
 ) -> tuple[PointSamples, np.ndarray]:  # fmt: skip
     """Each point is seen by half of the views. offsets, gains: (V,), gains about 20 °C. Returns data, temperatures."""
     rng, views = np.random.default_rng(seed), len(offsets)
@@ -31,7 +31,6 @@ def observations(
     x, y = rng.random((2, len(point)))
     value = degC[point] + (gains[view] - 1) * (degC[point] - 20) + offsets[view]
     value += legendre_basis(x, y) @ (np.zeros(len(TERMS)) if coefficients is None else coefficients)
-    value += 0 if columns is None else columns[(x * SIZE[0]).astype(int)]
     value += rng.normal(0, noise, len(value)) + 10 * (rng.random(len(value)) < outliers)
     return _data(value, point, view, (x, y), point % CLUSTERS, (views, points)), degC
 
@@ -65,4 +64,4 @@ def _data(
     """place: x and y as shares of the image. counts: of views and points."""
     (x, y), (views, points), flat = place, counts, np.zeros(len(value))
     terms, sizes = legendre_basis(x, y), np.tile(SIZE, (views, 1))
-    return PointSamples(point, view, value, flat, flat, x * SIZE[0], y * SIZE[1], terms, cluster, sizes, points)
+    return PointSamples(point, view, value, flat, x * SIZE[0], y * SIZE[1], terms, cluster, sizes, points)

@@ -93,5 +93,9 @@ def test_files_that_cannot_be_used_are_named(small_scene, tmp_path):
     path.write_bytes(path.read_bytes()[:100])
     refused(r"view001\.npy cannot be read as an \.npy array")
     path.unlink()
-    path.with_suffix(".png").write_bytes(b"\x89PNG")
-    refused(r"view001\.png cannot be read as an image")
+    picture = path.with_suffix(".png")
+    Image.fromarray(np.full((36, 48), 9000, np.uint16)).save(picture)
+    whole = picture.read_bytes()
+    for damaged in (b"\x89PNG", whole[:-14] + bytes([whole[-14] ^ 1]) + whole[-13:]):  # a checksum of the pixels
+        picture.write_bytes(damaged)
+        refused(r"view001\.png cannot be read as an image")

@@ -26,6 +26,11 @@ def test_sfm_points_need_points(small_scene):
         make("sfm_points").estimate(bare, small_scene.train[0])
 
 
+def test_options_that_leave_no_finite_depth_are_an_error(small_gray_scene):
+    with pytest.raises(PriorError, match=r"smoothness=1e-310 .* view001 of turntable no finite depth; raise them"):
+        make("sfm_points", smoothness=1e-310).estimate(small_gray_scene, small_gray_scene.train[0])
+
+
 def test_near_points_hide_far_ones_beside_them():
     camera = Camera(np.diag([10.0, 10.0, 1.0]), np.eye(4), width=20, height=20)
     near, beside, far_away, behind = [0.5, 0.5, 1.0], [1.2, 1.0, 2.0], [3.0, 3.0, 2.0], [0.5, 0.5, -1.0]

