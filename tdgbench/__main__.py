@@ -29,7 +29,12 @@ def main() -> int:
         try:
             from tdgbench import command
 
-            return command.run(sys.argv[1:], lambda: (interruption.begin(), gc.freeze(), gc.enable()))
+            def on_loaded() -> None:
+                interruption.begin()
+                gc.freeze()
+                gc.enable()
+
+            return command.run(sys.argv[1:], on_loaded)
         except (Exception, Interrupted) as error:
             interruption.end()
             if interruption.signal is not None:

@@ -109,7 +109,10 @@ class SfmPointsPrior:
         return np.divide(total, count, out=np.zeros_like(total), where=count > 0), count
 
     def _solve(self, values: np.ndarray, weight: np.ndarray, thermal: np.ndarray) -> np.ndarray:
-        """Return the minimiser (H, W) for data `values` with `weight` and edges of `thermal`, all (H, W)."""
+        """Return the minimiser (H, W) for data `values` with `weight` and edges of `thermal`, all (H, W).
+
+        It is NaN where rounding leaves the system without a solution.
+        """
         if values.shape[0] < values.shape[1]:  # the band of the matrix is as wide as a row
             return self._solve(values.T, weight.T, thermal.T).T
         columns = values.shape[1]
@@ -124,5 +127,8 @@ class SfmPointsPrior:
         band[0, columns:] += down.ravel()[:-columns]
         band[1] -= right.ravel()
         band[columns] -= down.ravel()
-        solution = solveh_banded(band, (weight * values).ravel(), overwrite_ab=True, lower=True, check_finite=False)
+        try:
+            solution = solveh_banded(band, (weight * values).ravel(), overwrite_ab=True, lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            return np.full(values.shape, np.nan)
         return solution.reshape(values.shape)

@@ -157,7 +157,9 @@ def test_the_difference_is_that_of_the_halves_along_the_longest_axis():
     across, along = torch.ones(32, 32, 1), torch.ones(32, 32, 1)
     along[:, 16:] = -1.0
     across[16:] = -1.0
-    by_columns, by_rows = (footprints(split_in_halves(long_and_short()), camera(), r, None, "cpu") for r in (along, across))
+    by_columns, by_rows = (
+        footprints(split_in_halves(long_and_short()), camera(), r, None, "cpu") for r in (along, across)
+    )
     assert abs(by_columns.difference[0]) > 0.5 * by_columns.weight[0]
     assert abs(by_columns.residual[0]) < 1e-3 * by_columns.weight[0]
     assert abs(by_rows.difference[0]) < 1e-3 * by_rows.weight[0]
