@@ -86,8 +86,6 @@ def trunk_weights(net: str, file: str | None, download: bool) -> dict[str, Tenso
     From `file` (pth or npz), else torch's cache, else downloaded into it. Raises BackboneUnavailableError with the
     reason. A failed download is not tried again in the same process.
     """
-    if file is None and net in _failed_downloads:
-        raise BackboneUnavailableError(_failed_downloads[net])
     spec = SPECS[net]
     cached = Path(torch.hub.get_dir()) / "checkpoints" / spec.file
     if file is not None:
@@ -134,6 +132,8 @@ def _read(path: Path) -> dict[str, Tensor]:
 
 
 def _download(net: str, spec: TrunkSpec) -> dict[str, Tensor]:
+    if net in _failed_downloads:
+        raise BackboneUnavailableError(_failed_downloads[net])
     timeout = socket.getdefaulttimeout()
     socket.setdefaulttimeout(DOWNLOAD_TIMEOUT_SECONDS)
     try:

@@ -52,7 +52,7 @@ def test_weights_of_one_s_own_are_part_of_it_by_content(tmp_path, monkeypatch):
         path.write_bytes(content)
     names = [name_of(f"metrics.lpips.weights={path}") for path in (a, b, moved)]
     assert names[0] == names[2] and len({*names, name_of()}) == 3
-    official = TrunkSpec(f"vgg16-{hashlib.sha256(b'one').hexdigest()[:8]}.pth", ())
+    official = TrunkSpec(f"vgg16-{hashlib.sha256(b'one').hexdigest()[:8]}.pth", (), 16)
     monkeypatch.setitem(backbones.SPECS, "vgg", official)
     assert name_of(f"metrics.lpips.weights={a}") == name_of() != name_of(f"metrics.lpips.weights={b}")
 

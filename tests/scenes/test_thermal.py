@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.data.prepare.prepare import SceneWriter
+from tdgbench.data.prepare.prepare import write_view
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tests.helpers.layouts import celsius, write_model, write_thermalmix
 
@@ -126,11 +126,11 @@ def test_prepared_images_without_temperatures_are_counts(small_gray_scene, tmp_p
     """Written as 16 bits of [0, 1], read with one stretch for all; counts that were prepared are counts again."""
     folder = tmp_path / "scene"
     write_model(small_gray_scene, folder / "sparse" / "0", "PINHOLE", ".png")
-    writer, everywhere = SceneWriter(folder, is_celsius=False), np.ones((36, 48), bool)
-    stored = {}
+    everywhere, stored = np.ones((36, 48), bool), {}
     for view in small_gray_scene.views:
         stored[view.name] = counts(celsius(view, small_gray_scene))
-        writer.view(view.name, view.rgb, (stored[view.name] / 65535).astype(np.float32)[..., None], everywhere)
+        written = (stored[view.name] / 65535).astype(np.float32)[..., None]
+        write_view(folder, view.name, view.rgb, written, everywhere)
     scene = load(folder)
     low, high = scene.raw_count_range
     assert LOWEST <= low < high <= LOWEST + 500

@@ -208,7 +208,7 @@ def _write_views(
             if not valid.any():
                 raise SceneError(f"{one.file}: no measured pixel lies inside the scene's images; leave the view out")
             one.invalid = float(1 - valid.mean())
-            _write_view(part, one.view, rgb, thermal, valid)
+            write_view(part, one.view, rgb, thermal, valid)
             count(index + 1)
 
 
@@ -221,7 +221,7 @@ def _write_known_range(folder: Path, part: Path, report: Report) -> None:
         (part / FILE).write_text(f"{content}\n", encoding="utf-8")
 
 
-def _write_view(folder: Path, name: str, rgb: np.ndarray | None, thermal: np.ndarray, valid: np.ndarray) -> None:
+def write_view(folder: Path, name: str, rgb: np.ndarray | None, thermal: np.ndarray, valid: np.ndarray) -> None:
     """Write the images of a view, and a mask where a pixel is invalid: 255 for measured pixels, else 0.
 
     rgb: (H, W, 3) in [0, 1], or None. thermal: (H, W) °C, written as float TIFF; or (H, W, C) in [0, 1], as 16-bit gray
