@@ -77,10 +77,10 @@ def time_steps(model: SplatModel, views: list[Camera], channels: int, depth: boo
     spent: dict[str, float] = {}
     run = pool.run
 
-    def timed(function, arguments):
+    def timed(function, arguments, alone=False):
         start = time.process_time()
         try:
-            return run(function, arguments)
+            return run(function, arguments, alone)
         finally:
             part = part_of_kernel(function, arguments)
             spent[part] = spent.get(part, 0.0) + time.process_time() - start

@@ -19,6 +19,7 @@ from tdgbench.scenes import Scene
 from tdgbench.scenes.read import Outline
 from tdgbench.scenes.synthetic import SyntheticDataset
 from tdgbench.splats.backends.cuda import CudaBackend
+from tdgbench.splats.cpu import pool
 from tests.helpers.configs import SMALL, config
 from tests.helpers.masks import masked_scene, with_garbage
 from tests.helpers.paths import SHARED, lpips_backbone
@@ -37,6 +38,14 @@ def auto_is_the_cpu() -> Iterator[None]:
     """Tests compare bytes, which a GPU need not repeat: `backend=auto` is the CPU, wherever they run."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(choose, "choose", lambda run: AutoBackend("cpu"))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def small_scenes_are_shared_by_threads() -> Iterator[None]:
+    """Threads share all work in tests, as they share that of large scenes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "threads_for", lambda items, each: pool.get_threads())
         yield
 
 

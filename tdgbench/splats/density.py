@@ -147,7 +147,8 @@ class DensityControl:
         if self._is_fast:
             counts, radii = self.view_counts.numpy(), self.max_radii.numpy()
             rows = (view.projected.numpy(), view.radii.numpy(), counts, radii)
-            pool.run(observe_visible, [(*span, *rows) for span in view.projected_spans])
+            alone = pool.threads_for(sum(n for _, n in view.projected_spans), pool.ROWS_EACH) == 1
+            pool.run(observe_visible, [(*span, *rows) for span in view.projected_spans], alone=alone)
             return
         if fuses(self.view_counts):
             from tdgbench.splats.warp import statistics

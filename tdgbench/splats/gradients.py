@@ -14,6 +14,8 @@ from tdgbench.splats.cpu.raster.passes import Blended
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics, observe_gradients
 
+STEPS_EACH = 8192  # rows that are worth a thread
+
 
 @dataclass
 class Gradients:
@@ -47,7 +49,8 @@ class Gradients:
     def observe(self, statistics: GradientStatistics) -> None:
         """Add the image-plane gradients of float32 rows on the CPU to density control's statistics."""
         rows = (self.index.numpy(), self.image.numpy(), statistics)
-        pool.run(observe_gradients, [(*span, *rows) for span in self.spans])
+        alone = pool.threads_for(self.touched, pool.ROWS_EACH) == 1
+        pool.run(observe_gradients, [(*span, *rows) for span in self.spans], alone=alone)
 
     def take_step(self, step: AdamStep, statistics: GradientStatistics = NO_STATISTICS) -> np.ndarray:
         """Take a step of Adam with these float32 rows on the CPU, and `observe` them.
@@ -58,7 +61,8 @@ class Gradients:
             self.observe(statistics)
         spans = self.spans
         if len(spans) == 1:  # of a backend that does not split its rows
-            spans = [(spans[0][0] + a, b - a) for a, b in pool.chunks(spans[0][1], pool.get_threads())]
+            first, count = spans[0]
+            spans = [(first + a, b - a) for a, b in pool.chunks(count, pool.threads_for(count, STEPS_EACH))]
         bad = new_flags(len(spans), step)
         rows = (self.index.numpy(), self.values.numpy(), step)
         pool.run(step_rows, [(*span, *rows, flags) for span, flags in zip(spans, bad, strict=True)])

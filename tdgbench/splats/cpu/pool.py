@@ -15,6 +15,9 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any
 
+import numpy as np
+
+VALUES_EACH, ROWS_EACH = 32_768, 65_536  # of an image, of Gaussians: worth a thread, which takes some 75 µs to wake
 WAKE_SECONDS = 0.1  # between looks at the calls, where the message that one has ended was lost to an interruption
 
 _threads: int | None = None
@@ -42,13 +45,18 @@ def set_threads(count: int | None) -> None:
     _threads = count
 
 
-def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> list[Any]:
-    """Call `function` concurrently, once per tuple of arguments; the calling thread takes the first.
+def threads_for(items: int, each: int) -> int:
+    """Return how many threads some items are worth; one with less than `each` costs more time than it takes over."""
+    return max(1, min(get_threads(), items // each))
+
+
+def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], alone: bool = False) -> list[Any]:
+    """Call `function` concurrently, once per tuple of arguments; the calling thread takes the first, or all, `alone`.
 
     Returns the results in order once all calls have ended, or raises the exception of one of them.
     """
-    if len(arguments) == 1:
-        return [function(*arguments[0])]
+    if alone or len(arguments) == 1:
+        return [function(*each) for each in arguments]
     _start_workers(len(arguments) - 1)
     ended: SimpleQueue[None] = SimpleQueue()
     calls = [_Call(function, rest, ended) for rest in arguments[1:]]
@@ -64,9 +72,10 @@ def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]]) -> l
     return [first, *(call.result for call in calls)]
 
 
-def run_bands(function: Callable[..., Any], rows: int, *arguments: Any) -> None:
-    """Call `function(start, stop, *arguments)` concurrently on bands of rows, one for each thread."""
-    run(function, [(*band, *arguments) for band in chunks(rows, min(rows, get_threads()))])
+def run_bands(function: Callable[..., Any], rows: int, image: np.ndarray, *arguments: Any) -> None:
+    """Call `function(start, stop, image, *arguments)` concurrently on bands of rows, one for each thread."""
+    threads = min(rows, threads_for(image.size, VALUES_EACH))
+    run(function, [(*band, image, *arguments) for band in chunks(rows, threads)])
 
 
 def chunks(count: int, threads: int) -> list[tuple[int, int]]:

@@ -8,10 +8,19 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.pool import threads_for  # before tests have all work shared
 
 
 def test_results_come_in_order():
     assert pool.run(lambda a, b: a + b, [(i, 10 * i) for i in range(7)]) == [11 * i for i in range(7)]
+
+
+def test_little_work_wakes_no_thread(monkeypatch):
+    monkeypatch.setattr(pool, "_threads", 4)
+    assert [threads_for(items, each=100) for items in (0, 199, 250, 300, 10_000)] == [1, 1, 2, 3, 4]
+    called = []
+    assert pool.run(lambda i: called.append(threading.get_ident()) or i, [(1,), (2,)], alone=True) == [1, 2]
+    assert set(called) == {threading.get_ident()}
 
 
 def test_work_runs_at_the_same_time():

@@ -33,21 +33,22 @@ from tdgbench.splats.cpu.simd.registers import (
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
 MARGIN = F(1.02)  # × the cutoff, against rounding
+GAUSSIANS_EACH, CANDIDATES_EACH = 65_536, 4096  # that are worth a thread: to test one takes 2 ns, to project one 40
 GRID = F(18)  # px: the last tile may stick out of the image by 15
 
 
 def find_candidates(source: GaussianSource, settings: Settings, workspace: Workspace) -> tuple[np.ndarray, list[Span]]:
     """Ascending candidates, int32, and spans of them for the threads, of equal length, on register bounds."""
-    threads = pool.get_threads()
+    threads = pool.threads_for(source.count, GAUSSIANS_EACH)
     groups = -(-source.count // LANES)
     pieces = [(a * LANES, min(b * LANES, source.count)) for a, b in pool.chunks(groups, min(threads, max(groups, 1)))]
     candidates = workspace.take("candidates", max(groups, 1) * LANES, np.int32)
     shared = (source.bounds, settings.camera, settings.limits.cutoff, candidates)
     found = pool.run(cull, [(*piece, *shared) for piece in pieces])
-    return candidates, _pack(candidates, [(a, n) for (a, _), n in zip(pieces, found)], threads)
+    return candidates, _pack(candidates, [(a, n) for (a, _), n in zip(pieces, found)])
 
 
-def _pack(candidates: np.ndarray, found: list[Span], threads: int) -> list[Span]:
+def _pack(candidates: np.ndarray, found: list[Span]) -> list[Span]:
     """Close the gaps between the spans found, in place; cut the whole into equal spans on register bounds."""
     total = 0
     for first, count in found:
@@ -56,7 +57,7 @@ def _pack(candidates: np.ndarray, found: list[Span], threads: int) -> list[Span]
         total += count
     groups = -(-total // LANES)
     candidates[total : groups * LANES] = candidates[total - 1] if total else 0
-    cuts = pool.chunks(groups, min(threads, max(groups, 1)))
+    cuts = pool.chunks(groups, min(pool.threads_for(total, CANDIDATES_EACH), max(groups, 1)))
     return [(a * LANES, min(b * LANES, total) - a * LANES) for a, b in cuts]
 
 

@@ -15,6 +15,7 @@ U = np.uint64
 DIGIT_BITS = 8
 DIGITS = 1 << DIGIT_BITS
 PASSES = 32 // DIGIT_BITS
+PAIRS_EACH = 32_768  # that are worth a thread
 SHORT = 24  # a list up to this length is sorted by insertion
 POSITION = U(32)  # bits of a pair's position in its list, below those of its depth
 
@@ -30,7 +31,8 @@ class Lists(NamedTuple):
 def sort_tiles(lists: Lists, out: TileLists) -> None:
     """Write the pairs of each tile to `out`, which has their starts, sorted by their keys, stably."""
     longest = int(np.diff(out.starts).max(initial=0))
-    pool.run(sort_lists, [(np.zeros(1, np.int64), longest, lists, out)] * pool.get_threads())
+    threads = pool.threads_for(len(lists.keys), PAIRS_EACH)
+    pool.run(sort_lists, [(np.zeros(1, np.int64), longest, lists, out)] * threads)
 
 
 @kernel()

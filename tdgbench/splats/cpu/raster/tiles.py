@@ -20,6 +20,7 @@ from tdgbench.splats.cpu.scratch import Workspace
 
 F, U = np.float32, np.uint64
 TILE = 16
+COUNTED_EACH, LISTED_EACH = 500_000, 32_768  # pairs that are worth a thread
 ZERO, HALF, FOUR = F(0), F(0.5), F(4)
 LOG2_E = F(math.log2(math.e))
 SLACK = F(0.01)  # px by which boxes are widened against rounding; the blend decides on alpha itself
@@ -138,15 +139,20 @@ def fill_lists(first, count, splats, pair_tiles, cursor, lists):
 def list_by_tile(found, n_tiles: int, workspace: Workspace, scratch: Workspace) -> TileLists:
     """List every tile's pairs from near to far, of what projection `found`; equal depths keep the splats' order."""
     counts = np.empty((len(found.pair_spans), n_tiles), np.int64)
-    pool.run(count_pairs, [(*span, found.pair_tiles, c) for span, c in zip(found.pair_spans, counts)])
+    pairs = sum(n for _, n in found.pair_spans)
+    pool.run(
+        count_pairs, [(*span, found.pair_tiles, c) for span, c in zip(found.pair_spans, counts)],
+        alone=pool.threads_for(pairs, COUNTED_EACH) == 1,
+    )  # fmt: skip
     first, cursors = cursors_of(counts)
     starts = np.append(first, cursors[-1, -1] + counts[-1, -1])
     total = int(starts[-1])
     keys, splat_ids, slots = scratch.take("slots", (3, total), np.int32)  # memory that the backward pass needs later
     lists = Lists(keys.view(np.uint32), splat_ids, slots)
     pool.run(
-        fill_lists, [(*span, found.splats, found.pair_tiles, c, lists) for span, c in zip(found.splat_spans, cursors)]
-    )
+        fill_lists, [(*span, found.splats, found.pair_tiles, c, lists) for span, c in zip(found.splat_spans, cursors)],
+        alone=pool.threads_for(pairs, LISTED_EACH) == 1,
+    )  # fmt: skip
     near_to_far = (workspace.take(role, total, np.int32) for role in ("splat ids", "slots of pairs"))
     out = TileLists(starts, *near_to_far)
     sort_tiles(lists, out)

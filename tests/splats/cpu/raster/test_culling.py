@@ -79,7 +79,7 @@ def test_gaps_between_pieces_are_closed():
     candidates = np.full(8 * LANES, -1, np.int32)
     candidates[:5] = np.arange(5)
     candidates[4 * LANES : 5 * LANES + 3] = np.arange(100, 100 + LANES + 3)
-    spans = _pack(candidates, [(0, 5), (4 * LANES, LANES + 3)], 3)
+    spans = _pack(candidates, [(0, 5), (4 * LANES, LANES + 3)])
     total = LANES + 8
     assert np.array_equal(candidates[:total], [*range(5), *range(100, 100 + LANES + 3)])
     assert (candidates[total : 2 * LANES] == candidates[total - 1]).all()
@@ -88,4 +88,4 @@ def test_gaps_between_pieces_are_closed():
 
 
 def test_no_candidates():
-    assert _pack(np.zeros(LANES, np.int32), [(0, 0)], 2) == [(0, 0)]
+    assert _pack(np.zeros(LANES, np.int32), [(0, 0)]) == [(0, 0)]
