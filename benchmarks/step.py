@@ -77,16 +77,16 @@ def time_steps(model: SplatModel, views: list[Camera], channels: int, depth: boo
     spent: dict[str, float] = {}
     run = pool.run
 
-    def timed(function, arguments, alone=False):
+    def timed(function, arguments, **work):
         start = time.process_time()
         try:
-            return run(function, arguments, alone)
+            return run(function, arguments, **work)
         finally:
             part = part_of_kernel(function, arguments)
             spent[part] = spent.get(part, 0.0) + time.process_time() - start
 
     rows: dict[str, list[float]] = defaultdict(list)
-    pool.run = timed
+    pool.run = timed  # type: ignore[assignment]
     try:
         for turn in range(WARM_UP + steps):
             spent.clear()

@@ -37,7 +37,6 @@ from tdgbench.text import duration
 from tdgbench.thermal import ImageResponse
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.context import training_device
-from tdgbench.training.images import MODALITIES
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
 from tdgbench.training.model import SplatModel
@@ -191,10 +190,8 @@ class CellRun(SetupObserver):
 
     def _announce(self, ready: Training) -> None:
         """Write what the checkpoints are of, for `tdgbench view --follow`: the record so far, and the cameras."""
-        context, parts = ready.trainer.whole_context, {}
-        if context.budget.background == "mean":
-            means = {name: MODALITIES[name].mean(context.scene.train) for name in ready.trainer.method.modalities}
-            parts = {name: PartReport(background=mean.tolist()) for name, mean in means.items()}
+        behind = {name: ready.trainer.whole_context.background(name) for name in ready.trainer.method.modalities}
+        parts = {name: PartReport(background=mean.tolist()) for name, mean in behind.items() if mean is not None}
         try:
             with whole_folder(self._running) as unfinished:
                 replace(self.record, seconds={"train": 0.0}, parts=parts).write(unfinished)

@@ -147,8 +147,9 @@ class DensityControl:
         if self._is_fast:
             counts, radii = self.view_counts.numpy(), self.max_radii.numpy()
             rows = (view.projected.numpy(), view.radii.numpy(), counts, radii)
-            alone = pool.threads_for(sum(n for _, n in view.projected_spans), pool.ROWS_EACH) == 1
-            pool.run(observe_visible, [(*span, *rows) for span in view.projected_spans], alone=alone)
+            items = sum(count for _, count in view.projected_spans)
+            calls = [(*span, *rows) for span in view.projected_spans]
+            pool.run(observe_visible, calls, items=items, each=pool.ROWS_EACH)
             return
         if fuses(self.view_counts):
             from tdgbench.splats.warp import statistics

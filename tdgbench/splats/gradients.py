@@ -49,8 +49,8 @@ class Gradients:
     def observe(self, statistics: GradientStatistics) -> None:
         """Add the image-plane gradients of float32 rows on the CPU to density control's statistics."""
         rows = (self.index.numpy(), self.image.numpy(), statistics)
-        alone = pool.threads_for(self.touched, pool.ROWS_EACH) == 1
-        pool.run(observe_gradients, [(*span, *rows) for span in self.spans], alone=alone)
+        calls = [(*span, *rows) for span in self.spans]
+        pool.run(observe_gradients, calls, items=self.touched, each=pool.ROWS_EACH)
 
     def take_step(self, step: AdamStep, statistics: GradientStatistics = NO_STATISTICS) -> np.ndarray:
         """Take a step of Adam with these float32 rows on the CPU, and `observe` them.

@@ -18,7 +18,7 @@ from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
 from tdgbench.training.curriculum import Curriculum, schedule
 from tdgbench.training.growth import GrowthTest
-from tdgbench.training.images import MODALITIES, THERMAL, Modality
+from tdgbench.training.images import MODALITIES, THERMAL
 from tdgbench.training.model import ModelOptions, SplatModel
 from tdgbench.training.part import Network, Part, RandomStream, Rate, State
 from tdgbench.training.rig import Rig
@@ -158,7 +158,7 @@ class Context:
             channels = images.channels(self.scene)
             start = gaussians_from_points(self.points.points, self.points.colors, channels, budget.sh_degree)
         start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
-        background, rig = self._background(images), self.rig if images is THERMAL else None
+        background, rig = self.background(modality), self.rig if images is THERMAL else None
         of_rig = {} if rig is None else {"camera_of": rig.camera}
         growth, growth_test = self.budget.growth, None
         if growth is not None:
@@ -189,10 +189,11 @@ class Context:
         state = np.random.SeedSequence([self.seed, self._streams]).generate_state(1, np.uint64)[0]
         return int(state) % 2**63
 
-    def _background(self, images: Modality) -> torch.Tensor | None:
+    def background(self, modality: str) -> torch.Tensor | None:
+        """Return the colour (C,) behind the Gaussians of a modality; None: black."""
         if self.budget.background != "mean":
             return None
-        return torch.from_numpy(images.mean(self.scene.train)).to(self.device)
+        return torch.from_numpy(MODALITIES[modality].mean(self.scene.train)).to(self.device)
 
 
 def training_device(backend: str) -> torch.device:

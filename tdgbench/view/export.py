@@ -55,8 +55,14 @@ def page(cell: ViewedCell, words: str) -> str:
     padding = ((0, -len(model) % per_row), (0, 0))
     content = b"".join(np.pad(table, padding).tobytes() for table in (model.means.numpy().astype("<f4"), columns))
     facts = {
-        **{"count": len(model), "channels": model.channels, "perRow": per_row, "near": NEAR_PLANE, "eps2d": EPS2D},
-        **{"low": ends[0].tolist(), "high": ends[1].tolist(), "degC": cell.degC},
+        "count": len(model),
+        "channels": model.channels,
+        "perRow": per_row,
+        "near": NEAR_PLANE,
+        "eps2d": EPS2D,
+        "low": ends[0].tolist(),
+        "high": ends[1].tolist(),
+        "degC": cell.degC,
         "background": [0.0] * model.channels if background is None else background.tolist(),
         "response": [cell.response.low, cell.response.high],
         "palette": colours.lookup_table(colours.THERMAL).tolist(),

@@ -9,6 +9,7 @@ from benchmarks.gpu import __main__ as gpu
 from benchmarks.gpu import measure
 from tdgbench.children import Ended
 from tdgbench.splats.backends import load_backend
+from tests.helpers.backends import need
 from tests.helpers.command import program_here
 from tests.helpers.configs import SMALL
 
@@ -21,9 +22,7 @@ def of(tmp_path, *words):
 
 def test_runs_small_on_the_cpu(tmp_path, data_root):
     """Where Warp is installed; a backend that cannot run is a reason in the file."""
-    reason = load_backend("warp").why_not()
-    if reason is not None:
-        pytest.skip(reason)
+    need("warp")
     overrides = [*SMALL, f"data.root={data_root}", "scene=turntable", "budget.iterations=4"]
     options = ["--methods", "tdg", "--budgets", "demo", "--repetitions", "2"]
     found, printed = of(tmp_path, *overrides, *options)

@@ -9,11 +9,18 @@ from types import ModuleType
 import pytest
 import torch
 
-from tdgbench.splats.backends import reference
+from tdgbench.splats.backends import load_backend, reference
 from tdgbench.splats.backends.backend import Backend
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render, RenderOptions
 
 NAME = "stand_in"
+
+
+def need(backend: str) -> None:
+    """Skip the test, with the reason, where a backend cannot run."""
+    reason = load_backend(backend).why_not()
+    if reason is not None:
+        pytest.skip(reason)
 
 
 class StandIn(Backend):

@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from tdgbench.splats import Gaussians
-from tdgbench.splats.backends import load_backend
 from tdgbench.splats.backends.backend import StateOptions
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole
+from tests.helpers.backends import need
 from tests.helpers.gaussians import RATES, turned_camera
 from tests.splats.backward_passes import COUNT, backward_pass, cloud
 
@@ -44,9 +44,7 @@ def test_past_autograd_is_the_reference(channels, degree, used):
 @pytest.mark.parametrize("backend", ["reference", "warp"])
 def test_an_iteration_leaves_nothing_behind(backend):
     """Backends with autograd: the view, its graph and the gradients go with the step."""
-    reason = load_backend(backend).why_not()
-    if reason is not None:
-        pytest.skip(reason)
+    need(backend)
     state = TrainingState(cloud(1, 1))
     camera, optimizer = Pinhole(*(t[0] for t in turned_camera(20, 20)), 20, 20), Adam(state, RATES, 1.0)
     left, collected = [], []

@@ -50,13 +50,16 @@ def threads_for(items: int, each: int) -> int:
     return max(1, min(get_threads(), items // each))
 
 
-def run(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], alone: bool = False) -> list[Any]:
-    """Call `function` concurrently, once per tuple of arguments; the calling thread takes the first, or all, `alone`.
+def run(
+    function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], *, items: int | None = None, each: int = 1
+) -> list[Any]:
+    """Call `function` concurrently, once per tuple of arguments; the calling thread takes the first.
 
-    Returns the results in order once all calls have ended, or raises the exception of one of them.
+    items, each: how much work all calls are, where it may be too little for a second thread; see `threads_for`. Returns
+    the results in order once all calls have ended, or raises the exception of one of them.
     """
-    if alone or len(arguments) == 1:
-        return [function(*each) for each in arguments]
+    if len(arguments) == 1 or (items is not None and threads_for(items, each) == 1):
+        return [function(*call) for call in arguments]
     _start_workers(len(arguments) - 1)
     ended: SimpleQueue[None] = SimpleQueue()
     calls = [_Call(function, rest, ended) for rest in arguments[1:]]

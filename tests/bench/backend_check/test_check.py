@@ -7,8 +7,8 @@ import pytest
 from tdgbench.bench.backend_check import check as checking
 from tdgbench.bench.backend_check.check import check, scenes
 from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE, expected
-from tdgbench.splats.backends import ON_GPU, load_backend
-from tests.helpers.backends import NotFinite, Raises, StandIn, Unsteady, WrongGradient, WrongValue, register
+from tdgbench.splats.backends import ON_GPU
+from tests.helpers.backends import NotFinite, Raises, StandIn, Unsteady, WrongGradient, WrongValue, need, register
 
 
 @pytest.fixture
@@ -95,8 +95,6 @@ def test_what_is_not_deterministic_beyond_the_tolerance_is_refused(verdict_on, o
 @pytest.mark.cuda
 @pytest.mark.parametrize("backend", ON_GPU)
 def test_the_gpu_passes(backend):
-    reason = load_backend(backend).why_not()
-    if reason is not None:
-        pytest.skip(reason)
+    need(backend)
     verdict = check(backend)
     assert not verdict.reason, verdict

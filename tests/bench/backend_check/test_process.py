@@ -15,7 +15,8 @@ from tdgbench.bench.backend_check import process
 from tdgbench.bench.backend_check.check import BackendCheck
 from tdgbench.bench.backend_check.choose import auto, choose
 from tdgbench.bench.backend_check.process import check_apart
-from tdgbench.splats.backends import ON_GPU, load_backend
+from tdgbench.splats.backends import ON_GPU
+from tests.helpers.backends import need
 
 
 def of(code: str, limit: float = 60.0) -> BackendCheck:
@@ -80,8 +81,6 @@ def test_without_a_gpu_no_process_is_started(monkeypatch):
 @pytest.mark.cuda
 @pytest.mark.parametrize("backend", ON_GPU)
 def test_a_real_gpu_is_checked_apart(backend):
-    reason = load_backend(backend).why_not()
-    if reason is not None:
-        pytest.skip(reason)
+    need(backend)
     verdict = check_apart(backend, 0)
     assert verdict.runs and not verdict.reason, verdict

@@ -18,8 +18,9 @@ def test_results_come_in_order():
 def test_little_work_wakes_no_thread(monkeypatch):
     monkeypatch.setattr(pool, "_threads", 4)
     assert [threads_for(items, each=100) for items in (0, 199, 250, 300, 10_000)] == [1, 1, 2, 3, 4]
+    monkeypatch.setattr(pool, "threads_for", threads_for)
     called = []
-    assert pool.run(lambda i: called.append(threading.get_ident()) or i, [(1,), (2,)], alone=True) == [1, 2]
+    assert pool.run(lambda i: called.append(threading.get_ident()) or i, [(1,), (2,)], items=150, each=100) == [1, 2]
     assert set(called) == {threading.get_ident()}
 
 

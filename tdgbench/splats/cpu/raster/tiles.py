@@ -142,7 +142,7 @@ def list_by_tile(found, n_tiles: int, workspace: Workspace, scratch: Workspace) 
     pairs = sum(n for _, n in found.pair_spans)
     pool.run(
         count_pairs, [(*span, found.pair_tiles, c) for span, c in zip(found.pair_spans, counts)],
-        alone=pool.threads_for(pairs, COUNTED_EACH) == 1,
+        items=pairs, each=COUNTED_EACH,
     )  # fmt: skip
     first, cursors = cursors_of(counts)
     starts = np.append(first, cursors[-1, -1] + counts[-1, -1])
@@ -151,7 +151,7 @@ def list_by_tile(found, n_tiles: int, workspace: Workspace, scratch: Workspace) 
     lists = Lists(keys.view(np.uint32), splat_ids, slots)
     pool.run(
         fill_lists, [(*span, found.splats, found.pair_tiles, c, lists) for span, c in zip(found.splat_spans, cursors)],
-        alone=pool.threads_for(pairs, LISTED_EACH) == 1,
+        items=pairs, each=LISTED_EACH,
     )  # fmt: skip
     near_to_far = (workspace.take(role, total, np.int32) for role in ("splat ids", "slots of pairs"))
     out = TileLists(starts, *near_to_far)
