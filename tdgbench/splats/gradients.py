@@ -55,7 +55,7 @@ class Gradients:
     def take_step(self, step: AdamStep, statistics: GradientStatistics = NO_STATISTICS) -> np.ndarray:
         """Take a step of Adam with these float32 rows on the CPU, and `observe` them.
 
-        Returns (columns of the state,) float32: 1 in columns with a gradient that is not finite.
+        Returns (spans, columns of the state) float32: 1 in columns with a gradient that is not finite.
         """
         if statistics.active:
             self.observe(statistics)
@@ -66,7 +66,7 @@ class Gradients:
         bad = new_flags(len(spans), step)
         rows = (self.index.numpy(), self.values.numpy(), step)
         pool.run(step_rows, [(*span, *rows, flags) for span, flags in zip(spans, bad, strict=True)])
-        return bad.max(axis=0, initial=0)
+        return bad
 
     @classmethod
     def dense(cls, values: Tensor, image: Tensor, radii: Tensor, absgrad: Tensor | None = None) -> Gradients:
@@ -136,7 +136,7 @@ class PendingGradients:
         """Take a step of Adam and add to density control's statistics, as `Gradients.take_step`, in one pass."""
         bad = new_flags(len(self._blended.done.splat_spans), step)
         self.touched = self._blended.step(step, statistics, bad)
-        return bad.max(axis=0, initial=0)
+        return bad
 
 
 def new_flags(spans: int, step: AdamStep) -> np.ndarray:

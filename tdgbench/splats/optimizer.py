@@ -149,8 +149,8 @@ class Adam:
         return self._first_marked(bad) if bad.any() else None
 
     def _first_marked(self, bad: np.ndarray) -> str | None:
-        """Return the name of the first parameter with a nonzero column in `bad` (columns,)."""
-        return next((name for name in self.steps if bad[self.state.columns_of(name)].any()), None)
+        """Return the name of the first parameter with a nonzero column in `bad` (…, columns)."""
+        return next((name for name in self.steps if bad[..., self.state.columns_of(name)].any()), None)
 
     def position_rate(self, iteration: int) -> float:
         """Return the learning rate of the means at an iteration, world units."""

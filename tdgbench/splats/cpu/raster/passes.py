@@ -7,6 +7,7 @@ results.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,7 +23,7 @@ from tdgbench.splats.cpu.raster.projection_backward import NO_FUSED_STEP, NO_ROW
 from tdgbench.splats.cpu.raster.projection_forward import project_candidates
 from tdgbench.splats.cpu.raster.slot_sums import SLOT
 from tdgbench.splats.cpu.raster.source import GaussianSource
-from tdgbench.splats.cpu.raster.tiles import TILE, list_by_tile
+from tdgbench.splats.cpu.raster.tiles import list_by_tile
 from tdgbench.splats.cpu.raster.types import ForwardPass, GradientArrays, GradientRows, ImageArrays, Settings, Slots
 from tdgbench.splats.cpu.scratch import Workspace
 from tdgbench.splats.cpu.simd.registers import LANES
@@ -34,8 +35,7 @@ def forward(source: GaussianSource, settings: Settings) -> ForwardPass:
     workspace, scratch = Workspace(), Workspace()  # what the backward pass reads again, and what it does not
     candidates, spans = find_candidates(source, settings, scratch)
     found = project_candidates(source, settings, candidates, spans, workspace, scratch)
-    n_tiles = -(-settings.width // TILE) * -(-settings.height // TILE)
-    tiles = list_by_tile(found, n_tiles, workspace, scratch)
+    tiles = list_by_tile(found, workspace, scratch)
     active_blocks = workspace.take("active blocks", len(tiles.splat_ids), np.uint32)
     images, visits = blend_tiles(settings, found.splats, tiles, active_blocks)
     if found.has_nan:  # the Gaussian could have been anywhere
@@ -91,6 +91,12 @@ class Blended:
         return [(first, n) for (first, _), n in zip(done.splat_spans, counts)]
 
 
+@functools.lru_cache(maxsize=4)
+def _zeros(shape: tuple[int, ...]) -> np.ndarray:
+    """A gradient of zeros, float32, which nobody writes."""
+    return np.zeros(shape, np.float32)
+
+
 def blend_backward(
     source: GaussianSource,
     settings: Settings,
@@ -105,7 +111,7 @@ def blend_backward(
     """
     gradients = ImageArrays(
         *(
-            np.zeros_like(image) if gradient is None else np.ascontiguousarray(gradient)
+            _zeros(image.shape) if gradient is None else np.ascontiguousarray(gradient)
             for gradient, image in zip((color, depth, transmittance), done.images)
         )
     )

@@ -47,6 +47,7 @@ class PairTiles(NamedTuple):
 
     first: int
     tiles: np.ndarray  # (capacity,) int32
+    counts: np.ndarray  # (tiles,) int64: pairs of each
 
 
 class ProjectedView(NamedTuple):
@@ -58,6 +59,7 @@ class ProjectedView(NamedTuple):
     splat_spans: list[Span]
     pair_tiles: np.ndarray  # (pair capacity,) int32
     pair_spans: list[Span]
+    tile_counts: np.ndarray  # (threads, tiles) int64: pairs
     has_nan: bool  # in any Gaussian
 
 
@@ -83,36 +85,38 @@ def project_candidates(
         workspace.take("means2d", (0 if source.parameters.raw else capacity, 2), np.float32),
     )
     shared = (source.parameters, source.stale, settings, splats, projected)
+    n_tiles = -(-settings.width // TILE) * -(-settings.height // TILE)
     pairs = max(MIN_PAIRS, PAIRS_PER_CANDIDATE * capacity // len(spans))
     while True:
         tiles = scratch.take("tiles", (len(spans), pairs), np.int32)
-        counts = np.zeros((len(spans), 4), np.int64)
-        pool.run(
+        tile_counts = np.zeros((len(spans), n_tiles), np.int64)
+        found = pool.run(
             project_and_list,
             [
-                (*span, candidates, *shared, PairTiles(t * pairs, tiles[t]), counts[t])
+                (*span, candidates, *shared, PairTiles(t * pairs, tiles[t], tile_counts[t]))
                 for t, span in enumerate(spans)
             ],
         )  # fmt: skip
-        if counts[:, 1].max() <= pairs:
+        n_splats, n_pairs, n_projected, has_nan = zip(*found)
+        if max(n_pairs) <= pairs:
             break
-        pairs = int(counts[:, 1].max())
+        pairs = max(n_pairs)
     splat_spans, projected_spans = (
-        [(first, int(n)) for (first, _), n in zip(spans, counts[:, column])] for column in (0, 2)
+        [(first, n) for (first, _), n in zip(spans, counts)] for counts in (n_splats, n_projected)
     )
-    pair_spans = [(t * pairs, int(n)) for t, n in enumerate(counts[:, 1])]
+    pair_spans = [(t * pairs, n) for t, n in enumerate(n_pairs)]
     return ProjectedView(
-        projected, projected_spans, splats, splat_spans, tiles.reshape(-1), pair_spans, bool(counts[:, 3].any())
+        projected, projected_spans, splats, splat_spans, tiles.reshape(-1), pair_spans, tile_counts, any(has_nan)
     )
 
 
 @kernel()
-def project_and_list(first, count, candidates, parameters, stale, settings, splats, projected, pair_tiles, counts):
+def project_and_list(first, count, candidates, parameters, stale, settings, splats, projected, pair_tiles):
     """Project candidates [first, first + count); rows of splats and projected are written from `first` on.
 
     candidates (n,) int32; the types of the others have their names; stale: of Gaussians with deferred steps, which are
-    applied before they are read. counts (4,) int64, written: splats, pairs, projected, whether anything is
-    NaN. Pairs beyond the capacity are counted, not written.
+    applied before they are read. Returns the numbers of splats, of pairs, which are written up to the capacity, and of
+    projected Gaussians, and whether anything is NaN.
     """
     channels, camera, limits, raw = settings.channels, settings.camera, settings.limits, parameters.raw
     tiles_x = (int64(camera.width) + TILE - 1) // TILE
@@ -122,7 +126,8 @@ def project_and_list(first, count, candidates, parameters, stale, settings, spla
     has_nan = broadcast(ZERO)
     n_splats, n_projected, n_pairs = first, first, 0
     # a reference in the loop costs an atomic operation
-    tiles, flat_splats, pairs = pair_tiles.tiles, splats.values.reshape(-1), splats.pairs
+    tiles, tile_counts = pair_tiles.tiles, pair_tiles.counts
+    flat_splats, pairs = splats.values.reshape(-1), splats.pairs
     gaussian_ids, keys = splats.gaussian_ids, splats.depth_keys
     bases = (channels.degree + 1) * (channels.degree + 1) if channels.degree >= 0 else 1
     end = first + count
@@ -147,9 +152,9 @@ def project_and_list(first, count, candidates, parameters, stale, settings, spla
             before = n_pairs
             box = box_of(boxes, i)
             if (box.right >> 4) == (box.left >> 4) or (box.bottom >> 4) == (box.top >> 4):
-                n_pairs = list_box(box, tiles_x, n_pairs, tiles)
+                n_pairs = list_box(box, tiles_x, n_pairs, tiles, tile_counts)
             else:
-                n_pairs = list_tiles(ellipse_of(group, i), box, tiles_x, n_pairs, tiles)
+                n_pairs = list_tiles(ellipse_of(group, i), box, tiles_x, n_pairs, tiles, tile_counts)
                 if n_pairs == before:
                     continue
             r = U(n_splats)
@@ -158,8 +163,7 @@ def project_and_list(first, count, candidates, parameters, stale, settings, spla
             gaussian_ids[r] = candidates[U(k) + i]
             keys[r] = float_bits(group[U(Z * LANES) + i])
             n_splats += 1
-    counts[0], counts[1], counts[2] = n_splats - first, n_pairs, n_projected - first
-    counts[3] = any_positive(has_nan)
+    return n_splats - first, n_pairs, n_projected - first, any_positive(has_nan)
 
 
 @kernel(inline=True)

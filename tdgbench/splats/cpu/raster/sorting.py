@@ -28,9 +28,8 @@ class Lists(NamedTuple):
     slots: np.ndarray  # (pairs,) int32
 
 
-def sort_tiles(lists: Lists, out: TileLists) -> None:
-    """Write the pairs of each tile to `out`, which has their starts, sorted by their keys, stably."""
-    longest = int(np.diff(out.starts).max(initial=0))
+def sort_tiles(lists: Lists, longest: int, out: TileLists) -> None:
+    """Write the pairs of each tile, at most `longest`, to `out`, which has their starts, sorted by their keys, stably."""
     threads = pool.threads_for(len(lists.keys), PAIRS_EACH)
     pool.run(sort_lists, [(np.zeros(1, np.int64), longest, lists, out)] * threads)
 

@@ -20,7 +20,7 @@ from tdgbench.splats.cpu.scratch import Workspace
 
 F, U = np.float32, np.uint64
 TILE = 16
-COUNTED_EACH, LISTED_EACH = 500_000, 32_768  # pairs that are worth a thread
+LISTED_EACH = 32_768  # pairs that are worth a thread
 ZERO, HALF, FOUR = F(0), F(0.5), F(4)
 LOG2_E = F(math.log2(math.e))
 SLACK = F(0.01)  # px by which boxes are widened against rounding; the blend decides on alpha itself
@@ -51,25 +51,22 @@ class PixelBox(NamedTuple):
 
 
 @kernel(inline=True)
-def list_box(box, tiles_x, n_pairs, tiles):
+def list_box(box, tiles_x, n_pairs, tiles, counts):
     """As `list_tiles`, every tile of a box."""
     for tile_y in range(box.top >> 4, (box.bottom >> 4) + 1):
         for tile_x in range(box.left >> 4, (box.right >> 4) + 1):
-            if n_pairs < tiles.shape[0]:
-                tiles[U(n_pairs)] = tile_y * tiles_x + tile_x
-            n_pairs += 1
+            n_pairs = add_pair(tile_y * tiles_x + tile_x, n_pairs, tiles, counts)
     return n_pairs
 
 
 @kernel()
-def list_tiles(ellipse, box, tiles_x, n_pairs, tiles):
+def list_tiles(ellipse, box, tiles_x, n_pairs, tiles, counts):
     """Write the tiles (int64 scalars) that an ellipse covers behind the first n_pairs of `tiles` (capacity,) int32.
 
     Each row of tiles is cut to the ellipse's extent there: a box of 2×2 tiles or more has corners that the ellipse does
-    not touch. Returns the new number of pairs; those beyond the capacity are counted, not written. tiles_x: tiles per
-    row of the image.
+    not touch. Returns the new number of pairs; those beyond the capacity are not written. counts (tiles,) int64: of the
+    pairs of each tile. tiles_x: tiles per row of the image.
     """
-    capacity = tiles.shape[0]
     for tile_y in range(box.top >> 4, (box.bottom >> 4) + 1):
         left, right = extent_in_rows(ellipse, tile_y)
         begin = max(ellipse.u + left - HALF - SLACK, F(box.left))
@@ -80,10 +77,17 @@ def list_tiles(ellipse, box, tiles_x, n_pairs, tiles):
         if last < first:
             continue
         for tile_x in range(first >> 4, (last >> 4) + 1):
-            if n_pairs < capacity:
-                tiles[U(n_pairs)] = tile_y * tiles_x + tile_x
-            n_pairs += 1
+            n_pairs = add_pair(tile_y * tiles_x + tile_x, n_pairs, tiles, counts)
     return n_pairs
+
+
+@kernel(inline=True)
+def add_pair(tile, n_pairs, tiles, counts):
+    """Add a pair to those of a tile."""
+    if n_pairs < tiles.shape[0]:
+        tiles[U(n_pairs)] = tile
+    counts[U(tile)] += 1
+    return n_pairs + 1
 
 
 @kernel(inline=True)
@@ -110,12 +114,22 @@ def extent_in_rows(ellipse, tile_y):
 
 
 @kernel()
-def count_pairs(first, count, pair_tiles, counts):
-    """counts (tiles,) int64 = pairs [first, first + count) in each tile; pair_tiles (capacity,) int32."""
-    for tile in range(U(counts.shape[0])):
-        counts[tile] = 0
-    for pair in range(U(first), U(first + count)):
-        counts[U(pair_tiles[pair])] += 1
+def start_lists(counts, starts):
+    """starts (tiles + 1,) = first pair of each tile, and counts (pieces, tiles) = that of each piece's share of it.
+
+    Both are int64; counts, as given, are of pairs. Pieces follow each other inside a tile. Returns the largest number
+    of pairs of a tile.
+    """
+    total, longest = int64(0), int64(0)
+    for tile in range(U(counts.shape[1])):
+        starts[tile] = total
+        for piece in range(U(counts.shape[0])):
+            here = counts[piece, tile]
+            counts[piece, tile] = total
+            total += here
+        longest = max(longest, total - starts[tile])
+    starts[U(counts.shape[1])] = total
+    return longest
 
 
 @kernel()
@@ -136,38 +150,18 @@ def fill_lists(first, count, splats, pair_tiles, cursor, lists):
             slots[place] = pair
 
 
-def list_by_tile(found, n_tiles: int, workspace: Workspace, scratch: Workspace) -> TileLists:
+def list_by_tile(found, workspace: Workspace, scratch: Workspace) -> TileLists:
     """List every tile's pairs from near to far, of what projection `found`; equal depths keep the splats' order."""
-    counts = np.empty((len(found.pair_spans), n_tiles), np.int64)
-    pairs = sum(n for _, n in found.pair_spans)
-    pool.run(
-        count_pairs, [(*span, found.pair_tiles, c) for span, c in zip(found.pair_spans, counts)],
-        items=pairs, each=COUNTED_EACH,
-    )  # fmt: skip
-    first, cursors = cursors_of(counts)
-    starts = np.append(first, cursors[-1, -1] + counts[-1, -1])
-    total = int(starts[-1])
+    cursors, total = found.tile_counts, sum(n for _, n in found.pair_spans)
+    starts = np.empty(cursors.shape[1] + 1, np.int64)
+    longest = start_lists(cursors, starts)
     keys, splat_ids, slots = scratch.take("slots", (3, total), np.int32)  # memory that the backward pass needs later
     lists = Lists(keys.view(np.uint32), splat_ids, slots)
     pool.run(
         fill_lists, [(*span, found.splats, found.pair_tiles, c, lists) for span, c in zip(found.splat_spans, cursors)],
-        items=pairs, each=LISTED_EACH,
+        items=total, each=LISTED_EACH,
     )  # fmt: skip
     near_to_far = (workspace.take(role, total, np.int32) for role in ("splat ids", "slots of pairs"))
     out = TileLists(starts, *near_to_far)
-    sort_tiles(lists, out)
+    sort_tiles(lists, longest, out)
     return out
-
-
-def cursors_of(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Start of each bin (bins,), and of each piece's share of it (pieces, bins), given counts (pieces, bins).
-
-    Pieces follow each other inside a bin.
-
-    >>> starts, shares = cursors_of(np.array([[1, 2], [3, 0]]))
-    >>> starts.tolist(), shares.tolist()
-    ([0, 4], [[0, 4], [1, 6]])
-    """
-    ends = np.cumsum(counts.T).reshape(counts.shape[::-1]).T
-    cursors = np.ascontiguousarray(ends - counts)
-    return cursors[0].copy(), cursors

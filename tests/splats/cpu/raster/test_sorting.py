@@ -19,7 +19,7 @@ def test_every_tile_is_sorted_stably(counts, threads, far):
     out = TileLists(starts, np.full(total, -1, np.int32), np.full(total, -1, np.int32))
     try:
         pool.set_threads(threads)
-        sort_tiles(Lists(depths.view(np.uint32), splat_ids, slots), out)
+        sort_tiles(Lists(depths.view(np.uint32), splat_ids, slots), max(counts), out)
     finally:
         pool.set_threads(None)
     tile = np.repeat(np.arange(len(counts)), counts)
@@ -31,5 +31,5 @@ def test_depths_that_differ_in_every_bit():
     keys = np.random.default_rng(1).integers(0, 2**32, 3000, dtype=np.uint32)
     ids = np.arange(3000, dtype=np.int32)
     out = TileLists(np.array([0, 3000]), np.empty(3000, np.int32), np.empty(3000, np.int32))
-    sort_tiles(Lists(keys, ids, ids), out)
+    sort_tiles(Lists(keys, ids, ids), 3000, out)
     assert np.array_equal(out.splat_ids, np.argsort(keys, kind="stable"))
