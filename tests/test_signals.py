@@ -84,7 +84,6 @@ def test_a_signal_during_the_start(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_the_workers_of_a_sweep(tmp_path, data_root, number, status):
-    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
     joblib = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "seed=0,1")
     run = started(tmp_path, "-m", *LONG, f"data.root={data_root}", *joblib)
     try:
@@ -101,7 +100,6 @@ def test_a_signal_ends_the_workers_of_a_sweep(tmp_path, data_root, number, statu
 
 @pytest.mark.slow
 def test_workers_end_with_a_sweep_that_is_killed(tmp_path, data_root):
-    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
     joblib = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "seed=0,1")
     run = started(tmp_path, "-m", *LONG, f"data.root={data_root}", *joblib)
     try:

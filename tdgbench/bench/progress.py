@@ -22,11 +22,13 @@ class CellProgress:
     names its cell, since several processes may print to one file: one at the start, then at most one a minute. The time
     left is that at the pace since the line before.
 
-    clock: seconds, for the lines.
+    clock: seconds, for the lines. alone: no other process shows a cell on the same terminal; else lines there, too.
     """
 
-    def __init__(self, console: Console, iterations: int, clock: Callable[[], float] = time.monotonic) -> None:
-        self._console, self._iterations, self._clock = console, iterations, clock
+    def __init__(
+        self, console: Console, iterations: int, clock: Callable[[], float] = time.monotonic, alone: bool = True
+    ) -> None:
+        self._console, self._iterations, self._clock, self._alone = console, iterations, clock, alone
         self._bar: Progress | None = None
         self._mark: tuple[float, int] | None = None  # time and count from which the pace is measured
         self._reset("")
@@ -87,7 +89,7 @@ class CellProgress:
         self._title, self._phase = title, ""
         self._last = self._clock()  # time of the last line
         self._mark = None
-        if self._console.is_interactive:
+        if self._console.is_interactive and self._alone:
             self._bar = Progress(
                 TextColumn("{task.description}", markup=False),
                 BarColumn(bar_width=20),

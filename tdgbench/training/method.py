@@ -33,10 +33,8 @@ class Step:
 
     def numbers(self) -> tuple[float, dict[str, float]]:
         """Return loss and terms, read from their device at once."""
-        scalars = (self.loss, *self.terms.values())
-        if self.loss.device.type != "cpu":
-            scalars = torch.stack([torch.as_tensor(value).detach().to(self.loss) for value in scalars])
-        loss, *terms = map(float, scalars)
+        scalars = [torch.as_tensor(value).detach().to(self.loss) for value in (self.loss, *self.terms.values())]
+        loss, *terms = torch.stack(scalars).tolist()
         return loss, dict(zip(self.terms, terms, strict=True))
 
 

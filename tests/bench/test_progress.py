@@ -45,9 +45,11 @@ def test_a_bar_shows_loss_psnr_and_count():
     assert "tdg on a/c" in text and "loss 0.1234" in text and "27.5 dB" in text and "12,345 Gaussians" in text
 
 
-def test_one_line_at_the_start_then_at_most_one_a_minute(clock):
+@pytest.mark.parametrize("terminal", [False, True])
+def test_one_line_at_the_start_then_at_most_one_a_minute(clock, terminal):
     out = StringIO()
-    progress = CellProgress(Console(file=out, width=40), 1000, clock)
+    console = Console(file=out, width=40, force_terminal=terminal, force_interactive=terminal, no_color=True)
+    progress = CellProgress(console, 1000, clock, alone=not terminal)  # two bars would overwrite one another
     progress.begin("tdg on /c")
     progress.phase("load")
     progress.rename("tdg on a/c")

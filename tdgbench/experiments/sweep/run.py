@@ -52,10 +52,11 @@ class Sweep(Experiment):
             write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
         if outcome.status != "missing":
             say(outcome.line, stderr=True)
-        workers = cells_at_once(hydra.launcher, pool.available_cores())
+        sweep = Path(hydra.sweep.dir)
+        cells = read_plan(sweep).cells_with_data
+        workers = cells_at_once(hydra.launcher, pool.available_cores(), cells)
         if outcome.status in ("ok", "failed") and workers is not None:
-            sweep = Path(hydra.sweep.dir)
-            left = remaining_time(read_plan(sweep).cells_with_data, list(numbered_outcomes(sweep).values()), workers)
+            left = remaining_time(cells, list(numbered_outcomes(sweep).values()), workers)
             if left:
                 say(f"{cfg.name}: {left}", stderr=True)
 
@@ -77,39 +78,42 @@ def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
         plan = plan_of_job(Path(hydra.sweep.dir))
         title = plan.title(overrides)
         check_method_name(cfg, hydra.runtime.choices.get("method"))
+        cores = pool.available_cores()
         if cfg.threads is None:
-            cfg.threads = worker_threads(hydra.launcher, pool.available_cores())
-        return run_cell(cfg, plan.variant(overrides), CellProgress(console(stderr=True), cfg.budget.iterations))
+            cfg.threads = worker_threads(hydra.launcher, cores, plan.cells_with_data)
+        alone = cells_at_once(hydra.launcher, cores, plan.cells_with_data) == 1
+        progress = CellProgress(console(stderr=True), cfg.budget.iterations, alone=alone)
+        return run_cell(cfg, plan.variant(overrides), progress)
     except Exception as error:
         return Outcome("failed", title or "the cell", error_message(error))
 
 
-def worker_threads(launcher: DictConfig, cores: int) -> int | None:
+def worker_threads(launcher: DictConfig, cores: int, cells: int) -> int | None:
     """Return the threads of one cell, so that the cells that a launcher runs at once share the cores; None: all cores.
 
     launcher: joblib configures the number of workers (negative: one per core), submitit and ray the cores per worker.
+    cells: number of cells of the sweep.
 
-    >>> worker_threads(DictConfig({"n_jobs": 2}), cores=8)
-    4
+    >>> worker_threads(DictConfig({"n_jobs": -1}), cores=8, cells=4)
+    2
     """
     if launcher.get("ray") is not None:
         return max(1, int(launcher.ray.remote.get("num_cpus", 1)))
     if launcher.get("cpus_per_task") is not None:
         return int(launcher.cpus_per_task)
     if launcher.get("n_jobs") is not None:
-        workers = cores if launcher.n_jobs < 0 else max(1, int(launcher.n_jobs))
-        return max(1, cores // workers)
+        return max(1, cores // (cells_at_once(launcher, cores, cells) or 1))
     return None
 
 
-def cells_at_once(launcher: DictConfig, cores: int) -> int | None:
-    """Return the number of cells that a launcher runs at once; None where a queue decides.
+def cells_at_once(launcher: DictConfig, cores: int, cells: int) -> int | None:
+    """Return the number of cells, of those of the sweep, that a launcher runs at once; None where a queue decides.
 
-    >>> cells_at_once(DictConfig({"n_jobs": 2}), cores=8)
+    >>> cells_at_once(DictConfig({"n_jobs": 2}), cores=8, cells=9)
     2
     """
     if launcher.get("n_jobs") is not None:
-        return cores if launcher.n_jobs < 0 else max(1, int(launcher.n_jobs))
+        return max(1, min(cores if launcher.n_jobs < 0 else int(launcher.n_jobs), cells))
     return 1 if launcher.get("_target_") == BASIC_LAUNCHER else None
 
 

@@ -24,11 +24,16 @@ def test_outcomes_come_in_the_order_of_the_jobs(tmp_path):
 
 @pytest.mark.parametrize(
     ("launcher", "threads"),
-    [({}, None), ({"n_jobs": 2}, 4), ({"n_jobs": -1}, 1), ({"n_jobs": 16}, 1), ({"n_jobs": 3}, 2),
+    [({}, None), ({"n_jobs": 2}, 4), ({"n_jobs": -1}, 1), ({"n_jobs": 16}, 1), ({"n_jobs": 3}, 2), ({"n_jobs": 1}, 8),
      ({"cpus_per_task": 3}, 3), ({"ray": {"remote": {}}}, 1), ({"ray": {"remote": {"num_cpus": 4}}}, 4)],
 )  # fmt: skip
 def test_workers_share_the_cores(launcher, threads):
-    assert worker_threads(OmegaConf.create(launcher), 8) == threads
+    assert worker_threads(OmegaConf.create(launcher), 8, cells=20) == threads
+
+
+@pytest.mark.parametrize(("workers", "cells", "threads"), [(-1, 4, 2), (4, 2, 4), (-1, 1, 8), (-1, 0, 8)])
+def test_a_few_cells_share_all_cores(workers, cells, threads):
+    assert worker_threads(OmegaConf.create({"n_jobs": workers}), 8, cells) == threads
 
 
 def test_time_left_is_that_of_the_mean_finished_cell():

@@ -29,7 +29,7 @@ class Lists(NamedTuple):
 
 
 def sort_tiles(lists: Lists, longest: int, out: TileLists) -> None:
-    """Write the pairs of each tile, at most `longest`, to `out`, which has their starts, sorted by their keys, stably."""
+    """Write the pairs of each tile, at most `longest`, to `out`, which has their starts; sorted by key, stably."""
     threads = pool.threads_for(len(lists.keys), PAIRS_EACH)
     pool.run(sort_lists, [(np.zeros(1, np.int64), longest, lists, out)] * threads)
 
