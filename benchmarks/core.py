@@ -1,7 +1,5 @@
 """`python -m benchmarks.core`: forward + backward of the splat core, in ms, ratios, and share of the FMA peak.
 
---torch                  also run plain torch, tile by tile (seconds per call)
---model PLY --data DIR   also render a trained model from a test camera of the capture in DIR
 Where a CUDA GPU and gsplat are available, gsplat runs as well.
 """
 
@@ -18,7 +16,7 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
-from benchmarks.common.clouds import leaves_of, random_cloud, render, trained_cloud, view_of
+from benchmarks.common.clouds import leaves_of, random_cloud, view_of
 from benchmarks.common.timing import interleave, median_ms, time_pass
 from tdgbench.bench.backend_check.compare import Cloud
 from tdgbench.splats.backends import fast_backends
@@ -33,18 +31,6 @@ MOST = "3+depth"  # that the others are compared with
 FMA_CHAINS, FMA_STEPS = 16, 1_000_000
 
 
-def plain_torch(cloud: Cloud) -> Callable[[], float]:
-    """Seconds of forward + backward in plain torch, float32, tile by tile, always with 3 channels and depth."""
-    weights = torch.ones(cloud.height, cloud.width, 5)
-
-    def run() -> float:
-        start = time.perf_counter()
-        render(cloud, torch.float32, weights)
-        return time.perf_counter() - start
-
-    return run
-
-
 def pairs_with_weight(cloud: Cloud) -> int:
     """Pixel-Gaussian pairs that a blend cannot skip, in registers of 8 or 16 pixels in which any has weight."""
     view = view_of(cloud, leaves_of(cloud, torch.float32), "cpu", depth=False)
@@ -54,7 +40,7 @@ def pairs_with_weight(cloud: Cloud) -> int:
     return int(np.bitwise_count(np.concatenate(active)).sum()) * simd.LANES
 
 
-def candidates_for(cloud: Cloud, variant: str, with_torch: bool) -> dict[str, Callable[[], float]]:
+def candidates_for(cloud: Cloud, variant: str) -> dict[str, Callable[[], float]]:
     channels, depth = VARIANTS[variant]
     cloud = replace(cloud, colors=cloud.colors[:, :channels])
     candidates = {
@@ -64,8 +50,6 @@ def candidates_for(cloud: Cloud, variant: str, with_torch: bool) -> dict[str, Ca
     }
     if "cuda" in fast_backends():
         candidates["gsplat"] = time_pass(cloud, "both", "cuda", depth=depth)
-    if with_torch and variant == MOST:
-        candidates["torch"] = plain_torch(cloud)
     return candidates
 
 
@@ -111,7 +95,7 @@ def fma_peak_gflops() -> float:
     return 2 * FMA_CHAINS * simd.LANES * FMA_STEPS * threads / best / 1e9
 
 
-def measure(clouds: dict[str, Cloud], variants: list[str], repetitions: int, with_torch: bool) -> pd.DataFrame:
+def measure(clouds: dict[str, Cloud], variants: list[str], repetitions: int) -> pd.DataFrame:
     """One row per cloud, channels and candidate; those of a cloud take turns, and ratios are medians over the turns.
 
     cpu_ratio: time of `cpu` over that of the candidate. most_ratio: time of the candidate over that of the same one
@@ -121,7 +105,7 @@ def measure(clouds: dict[str, Cloud], variants: list[str], repetitions: int, wit
     rows = []
     for name, cloud in clouds.items():
         flops = pairs_with_weight(cloud) * (FORWARD_FLOPS + BACKWARD_FLOPS)
-        runs = {(v, c): run for v in variants for c, run in candidates_for(cloud, v, with_torch).items()}
+        runs = {(v, c): run for v in variants for c, run in candidates_for(cloud, v).items()}
         seconds = {key: np.array(times) for key, times in interleave(runs, repetitions).items()}
         for (variant, candidate), times in seconds.items():
             ms, most = median_ms(times.tolist()), seconds.get((MOST, candidate))
@@ -171,13 +155,8 @@ def main() -> None:
     parser.add_argument("--channels", nargs="+", choices=VARIANTS, default=list(VARIANTS))
     parser.add_argument("--repetitions", type=int, default=11)
     parser.add_argument("--threads", type=int)
-    parser.add_argument("--torch", action="store_true")
-    parser.add_argument("--model", type=Path)
-    parser.add_argument("--data", type=Path)
     parser.add_argument("--out", type=Path, default=Path("results/benchmarks"))
     args = parser.parse_args()
-    if (args.model is None) != (args.data is None):
-        parser.error("--model and --data go together")
     pool.set_threads(args.threads)
     torch.set_num_threads(1)
     clouds = {}
@@ -185,9 +164,7 @@ def main() -> None:
         width, height = (int(n) for n in size.split("x"))
         for count in args.counts:
             clouds[f"random {size} {count}"] = random_cloud(count, width, height)
-    if args.model is not None:
-        clouds["trained"] = trained_cloud(args.model, args.data)
-    table = measure(clouds, args.channels, args.repetitions, args.torch)
+    table = measure(clouds, args.channels, args.repetitions)
     table["cloud"] = table["cloud"].str.split().str[0]
     args.out.mkdir(parents=True, exist_ok=True)
     table.to_csv(args.out / "core.csv", index=False)
