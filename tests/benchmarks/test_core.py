@@ -12,8 +12,4 @@ def test_runs_small(tmp_path):
     assert set(table["candidate"]) == {"cpu", "cpu forward", "cpu backward"}
     whole = table[table["candidate"] == "cpu"].set_index("channels")
     assert (whole["cpu_ratio"] == 1).all() and whole.loc["3+depth", "most_ratio"] == 1 != whole.loc["1", "most_ratio"]
-    assert (table["ms"] > 0).all() and (tmp_path / "core.png").exists()
-
-
-def test_the_peak_is_plausible():
-    assert 1 < core.fma_peak_gflops() < 1e5
+    assert (table["ms"] > 0).all()
