@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from tdgbench.bench.backend_check.compare import NAMES, Cloud
-from tdgbench.splats.backends import load_backend
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 
@@ -30,19 +29,12 @@ def random_cloud(count: int, width: int, height: int, seed: int = 0) -> Cloud:
     )
 
 
-def leaves_of(cloud: Cloud, dtype: torch.dtype, device: str = "cpu") -> list[Tensor]:
+def leaves_of(cloud: Cloud, dtype: torch.dtype) -> list[Tensor]:
     """Copies of a cloud's tensors in the order of NAMES, with gradients enabled."""
-    given = [getattr(cloud, name) for name in NAMES]
-    return [t.to(device, dtype).clone().requires_grad_() for t in given]
+    return [getattr(cloud, name).to(dtype).clone().requires_grad_() for name in NAMES]
 
 
-def device_of(backend: str) -> str:
-    """Device that a fast backend expects its tensors on."""
-    return load_backend(backend).device
-
-
-def view_of(cloud: Cloud, leaves: list[Tensor], backend: str, depth: bool = True) -> Render:
-    """Colour and depth of a cloud on a fast backend; `leaves` are its tensors (see `leaves_of`)."""
+def view_of(cloud: Cloud, leaves: list[Tensor], depth: bool = True) -> Render:
+    """Colour and depth of a cloud by the fast core; `leaves` are its tensors (see `leaves_of`)."""
     camera = Pinhole(cloud.viewmat, cloud.K, cloud.width, cloud.height).to(leaves[0])
-    gaussians = GaussianTensors(*leaves)  # type: ignore[arg-type]
-    return render_view(gaussians, camera, depth=depth, backend=backend)
+    return render_view(GaussianTensors(*leaves), camera, depth=depth, backend="cpu")  # type: ignore[arg-type]

@@ -24,7 +24,7 @@ FLIP = 2e-5  # share of the range of values; a larger difference is a flipped th
 def of_core(cloud: Cloud, weights: Tensor) -> ExactRender:
     """Image and gradients of a cloud by the fast core, in float32."""
     leaves = leaves_of(cloud, torch.float32)
-    view = view_of(cloud, leaves, "cpu")
+    view = view_of(cloud, leaves)
     image = torch.cat([view.image, view.requested_depth[..., None]], dim=-1)
     w = weights.to(image)
     ((image * w[..., :-1]).sum() + (view.transmittance * w[..., -1]).sum()).backward()
