@@ -21,6 +21,7 @@ def compare(calm: Path, killed: Path) -> list[str]:
     for title in sorted(set(a) & set(b)):
         problems += [f"{title}: {name} differs" for name, value in a[title].items() if b[title][name] != value]
     problems += different_files(calm, killed)
+    problems += [] if problems else wrong_tables(killed)
     leftovers = [*(killed / "cells").rglob(".*"), *(killed / "checkpoints").glob("*"), *killed.glob(".*")]
     return problems + [f"{path.relative_to(killed)} is a leftover" for path in leftovers]
 
@@ -41,19 +42,18 @@ def _content(record: Record) -> dict[str, object]:
 
 
 def different_files(calm: Path, killed: Path) -> Iterator[str]:
-    """Files of cells that are not those of their records; tables that are not those of the cells; missing files.
-
-    Records hold the hashes of the files, and are compared.
-    """
+    """Files of cells that are not those of their records, whose hashes are compared; missing files."""
     for path in record_files(killed):
         record = read_record(path.parent)
         yield from () if record is None else file_problems(path.parent, record.hashes)
     yield from (f"{name} is only in one of them" for name in sorted({*_files(calm)} ^ {*_files(killed)}))
-    before = _tables(killed)
-    build_tables(killed)
-    yield from (
-        f"{name} is not that of the cells" for name, text in _tables(killed).items() if before.get(name) != text
-    )
+
+
+def wrong_tables(experiment: Path) -> list[str]:
+    """Tables that are not those of the cells."""
+    before = _tables(experiment)
+    build_tables(experiment)
+    return [f"{name} is not that of the cells" for name, text in _tables(experiment).items() if before[name] != text]
 
 
 def _files(experiment: Path) -> list[str]:
