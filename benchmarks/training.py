@@ -1,7 +1,7 @@
 """`python -m benchmarks.training [hydra overrides]`: milliseconds of a training step and of its parts.
 
 The configuration is that of `python -m tdgbench` (data set, method, budget …). `--steps` steps warm up, as many are
-measured. Then steps and bare renders (forward and backward) take turns, for the ratio of the two.
+measured.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import time
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
@@ -27,7 +26,6 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.optimizer import Adam
 from tdgbench.training.loop import train
-from tdgbench.training.trainer import Trainer
 
 PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
     "raster.culling": "project",
@@ -44,16 +42,6 @@ PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
     "losses.minmax": "losses",
 }
 REMAINDER = "Python and torch"
-
-
-@dataclass(frozen=True)
-class StepCost:
-    """Cost of a step. parts: milliseconds and share by part. step_ms, render_ms: measured in turns."""
-
-    parts: pd.DataFrame
-    step_ms: float
-    render_ms: float
-    gaussians: int
 
 
 class StepProfile:
@@ -102,8 +90,8 @@ def part_of_kernel(kernel, _arguments) -> str:
     return PART_OF_MODULE[kernel.__module__.removeprefix("tdgbench.splats.cpu.")]
 
 
-def measure_step(cfg: DictConfig, steps: int) -> StepCost:
-    """Train the configured method: `steps` steps to warm up, as many to measure, then as many in turns with renders."""
+def measure_step(cfg: DictConfig, steps: int) -> pd.DataFrame:
+    """Train the configured method. Return part, ms, share of a step, longest first; `steps` steps warm up before."""
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
     cfg.budget.iterations = steps
     trainer = set_up(cfg, scene).trainer
@@ -117,39 +105,8 @@ def measure_step(cfg: DictConfig, steps: int) -> StepCost:
     parts = pd.DataFrame([{"part": part, "ms": 1e3 * s / steps} for part, s in seconds.items()])
     parts = parts.sort_values("ms", ascending=False)
     parts["share"] = parts["ms"] / (1e3 * total / steps)
-    return StepCost(parts, *_steps_and_renders(trainer, steps), sum(len(m) for m in trainer.gaussians.values()))
-
-
-def _steps_and_renders(trainer: Trainer, steps: int) -> tuple[float, float]:
-    """Milliseconds of a training step, and of rendering every model forward and backward, in turns."""
-    seconds = {"step": 0.0, "render": 0.0}
-    views, with_depth = trainer.whole_context.scene.train, trainer.method.step(1).render.depth is not None
-    for turn in range(max(1, steps // len(views))):
-        for view in views:  # a round of steps uses every view once, as do the renders
-            start = time.perf_counter()
-            _step(trainer)
-            middle = time.perf_counter()
-            for model in trainer.gaussians.values():
-                render = model.render(view.camera, depth=with_depth)
-                outputs = [render.image, *([render.depth] if render.depth is not None else [])]
-                torch.autograd.backward(outputs, [torch.ones_like(o) for o in outputs])
-                for rendered in model._views:
-                    rendered.gradients.compute()
-                model._views.clear()
-            end = time.perf_counter()
-            if turn > 0 or steps < 2 * len(views):
-                seconds["step"] += middle - start
-                seconds["render"] += end - middle
-    count = len(views) * max(1, steps // len(views) - 1)
-    return 1e3 * seconds["step"] / count, 1e3 * seconds["render"] / count
-
-
-def _step(trainer: Trainer) -> None:
-    for part in trainer.parts.values():
-        part.begin(1)
-    trainer.method.step(1).loss.backward()
-    for part in trainer.parts.values():
-        part.step(1)
+    print(f"{sum(map(len, trainer.gaussians.values()))} Gaussians, {pool.get_threads()} threads")
+    return parts
 
 
 def main() -> None:
@@ -161,17 +118,12 @@ def main() -> None:
     torch.set_num_threads(1)
     with initialize_config_dir(str(conf_folder()), version_base="1.3"):
         cfg = compose("config", overrides=args.overrides)
-    cost = measure_step(cfg, args.steps)
-    for row in cost.parts.itertuples():
+    parts = measure_step(cfg, args.steps)
+    for row in parts.itertuples():
         print(f"{row.part:<20}{row.ms:8.2f} ms {100 * row.share:6.1f} %")
-    print(f"{'whole step':<20}{cost.parts['ms'].sum():8.2f} ms")
-    print(
-        f"in turns: step {cost.step_ms:.2f} ms, render forward + backward {cost.render_ms:.2f} ms, "
-        f"ratio {cost.step_ms / cost.render_ms:.2f}"
-    )
-    print(f"{cost.gaussians} Gaussians, {pool.get_threads()} threads")
+    print(f"{'whole step':<20}{parts['ms'].sum():8.2f} ms")
     args.out.mkdir(parents=True, exist_ok=True)
-    cost.parts.to_csv(args.out / "training.csv", index=False)
+    parts.to_csv(args.out / "training.csv", index=False)
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""What several benchmarks share: clouds of Gaussians with their exact render, and timing in turns."""
+"""What several benchmarks share: clouds of Gaussians, and timing in turns."""

@@ -5,15 +5,16 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Mapping
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, get_args
 
 import torch
 
-from benchmarks.common.clouds import device_of, leaves_of, view_of
+from benchmarks.common.clouds import leaves_of, view_of
 from tdgbench.bench.backend_check.compare import Cloud
 
 Key = TypeVar("Key")
-Part = Literal["forward", "backward", "both"]
+Part = Literal["both", "forward", "backward"]
+PARTS: tuple[Part, ...] = get_args(Part)
 
 
 def interleave(candidates: Mapping[Key, Callable[[], float]], repetitions: int) -> dict[Key, list[float]]:
@@ -40,27 +41,19 @@ def median_ms(seconds: list[float]) -> float:
     return 1e3 * statistics.median(seconds)
 
 
-def time_pass(cloud: Cloud, part: Part, backend: str, depth: bool = True) -> Callable[[], float]:
+def time_pass(cloud: Cloud, part: Part, depth: bool = True) -> Callable[[], float]:
     """A function that renders a cloud through autograd, as training does, and returns the seconds of a part."""
-    device = device_of(backend)
-    leaves = leaves_of(cloud, torch.float32, device)
+    leaves = leaves_of(cloud, torch.float32)
     size = (cloud.height, cloud.width)
-    grads = [torch.ones(*size, cloud.colors.shape[1], device=device)]
-    if depth:
-        grads.append(torch.ones(size, device=device))
-
-    def now() -> float:
-        if device == "cuda":
-            torch.cuda.synchronize()
-        return time.perf_counter()
+    grads = [torch.ones(*size, cloud.colors.shape[1]), *([torch.ones(size)] if depth else [])]
 
     def run() -> float:
-        start = now()
-        view = view_of(cloud, leaves, backend, depth)
-        middle = now()
+        start = time.perf_counter()
+        view = view_of(cloud, leaves, depth)
+        middle = time.perf_counter()
         if part != "forward":
             torch.autograd.backward([view.image, view.requested_depth] if depth else [view.image], grads)
-        end = now()
+        end = time.perf_counter()
         for leaf in leaves:
             leaf.grad = None
         return {"forward": middle - start, "backward": end - middle, "both": end - start}[part]

@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.killed.sweep import SIGNALS, Plan, Sweep, kill_many
+from benchmarks.killed.sweep import Plan, Sweep, kill_many
 
 SMALL = (
     "-m", "method=3dgs,tdg", "scene=orbit,turntable", "dataset.loader.width=32", "dataset.loader.height=24",
@@ -26,22 +26,15 @@ SMALL = (
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.killed", description=__doc__)
     parser.add_argument("--kills", type=int, default=100)
-    parser.add_argument("--signals", nargs="+", choices=SIGNALS, default=SIGNALS)
-    parser.add_argument("--full-disk", type=float, default=0.2, help="share of the kills that are a full disk")
     parser.add_argument("--seed", type=int, default=0, help="of the random moments")
-    parser.add_argument("--name", default="single", help="name of the experiment's folder")
-    parser.add_argument("sweep", nargs="*", default=list(SMALL), help="Hydra overrides (default: four small cells)")
     args = parser.parse_args()
-    if (
-        signal.getsignal(signal.SIGINT) is signal.SIG_IGN
-    ):  # as in `python -m benchmarks.killed &`; sweeps would inherit it
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as with `&` in a shell; sweeps would inherit it
         signal.signal(signal.SIGINT, signal.default_int_handler)
     with tempfile.TemporaryDirectory() as scratch:
-        sweep, begin = Sweep(args.sweep, args.name, Path(scratch)), time.monotonic()
+        sweep, begin = Sweep(list(SMALL), "single", Path(scratch)), time.monotonic()
         calm = sweep.run_calm()
         print(f"undisturbed: {calm.seconds:.1f} s, {calm.writes} writes", flush=True)
-        plan = Plan(args.kills, tuple(args.signals), args.full_disk, args.seed)
-        kills = kill_many(sweep, calm, plan, lambda kill: print(kill, flush=True))
+        kills = kill_many(sweep, calm, Plan(args.kills, seed=args.seed), lambda kill: print(kill, flush=True))
     good = sum(not kill.problems for kill in kills)
     for problem in dict.fromkeys(f"{kill}: {problem}" for kill in kills for problem in kill.problems):
         print(f"problem: {problem}")

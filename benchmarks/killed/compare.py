@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import re
-import shutil
-import tempfile
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-import pandas as pd
-
-from tdgbench.bench.record import FILE, Record, read_all
-from tdgbench.bench.stored import hashes_of_content
-from tdgbench.report.page import write_report
+from tdgbench.bench.record import Record, read_all, read_record, record_files
+from tdgbench.bench.stored import file_problems, hashes_of_content
 from tdgbench.tables.build import build_tables
 
 MAY_DIFFER = ("seconds", "train_processor_seconds", "peak_rss_mb", "peak_gpu_mb", "environment", "resumed", "notes")
-PICTURE = re.compile(r"<svg.*?</svg>", re.DOTALL)  # matplotlib names its parts at random
+NOT_RESULTS = ("cache", "checkpoints", "hydra", "locks", "running")
 
 
 def compare(calm: Path, killed: Path) -> list[str]:
@@ -26,7 +20,8 @@ def compare(calm: Path, killed: Path) -> list[str]:
     problems = [f"{title} is only in one of them" for title in sorted(set(a) ^ set(b))]
     for title in sorted(set(a) & set(b)):
         problems += [f"{title}: {name} differs" for name, value in a[title].items() if b[title][name] != value]
-    problems += [f"{name} differs" for name in different_files(calm, killed)]
+    problems += different_files(calm, killed)
+    problems += [] if problems else wrong_tables(killed)
     leftovers = [*(killed / "cells").rglob(".*"), *(killed / "checkpoints").glob("*"), *killed.glob(".*")]
     return problems + [f"{path.relative_to(killed)} is a leftover" for path in leftovers]
 
@@ -46,54 +41,26 @@ def _content(record: Record) -> dict[str, object]:
     return content
 
 
-def different_files(calm: Path, killed: Path) -> list[str]:
-    """Files of cells, tables and report that are missing or differ in more than times.
-
-    If the cells agree, tables and reports are built again from copies whose records and logs have equal times.
-    """
-    with tempfile.TemporaryDirectory() as scratch:
-        a, b = (_with_equal_times(one, Path(scratch, name, one.name)) for one, name in ((calm, "a"), (killed, "b")))
-        different = _different(a, b)
-        if not different:
-            for one in (a, b):
-                write_report(one, build_tables(one))
-            different = _different(a, b)
-            different += [str(n) for n in _files(a) for one in (calm, killed) if not (one / n).is_file()]
-        return different
+def different_files(calm: Path, killed: Path) -> Iterator[str]:
+    """Files of cells that are not those of their records, whose hashes are compared; missing files."""
+    for path in record_files(killed):
+        record = read_record(path.parent)
+        yield from () if record is None else file_problems(path.parent, record.hashes)
+    yield from (f"{name} is only in one of them" for name in sorted({*_files(calm)} ^ {*_files(killed)}))
 
 
-def _different(a: Path, b: Path) -> list[str]:
-    """Files that differ or are only in one of two folders, but for records, whose content is compared."""
-    names = [name for name in sorted({*_files(a), *_files(b)}) if name.name != FILE]
-    return [str(name) for name in names if _bytes(a / name) != _bytes(b / name)]
+def wrong_tables(experiment: Path) -> list[str]:
+    """Tables that are not those of the cells."""
+    before = _tables(experiment)
+    build_tables(experiment)
+    return [f"{name} is not that of the cells" for name, text in _tables(experiment).items() if before[name] != text]
 
 
-def _files(folder: Path) -> list[Path]:
-    return sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+def _files(experiment: Path) -> list[str]:
+    """Results but for locks and Hydra's own files."""
+    names = [path.relative_to(experiment).as_posix() for path in experiment.rglob("*") if path.is_file()]
+    return [name for name in names if name.split("/")[0] not in NOT_RESULTS]
 
 
-def _bytes(path: Path) -> bytes:
-    if not path.exists():
-        return b""
-    return PICTURE.sub("", path.read_text(encoding="utf-8")).encode() if path.suffix == ".html" else path.read_bytes()
-
-
-def _with_equal_times(experiment: Path, copy: Path) -> Path:
-    """A copy of an experiment's plan and cells, with all times set to one second."""
-    shutil.copytree(experiment / "cells", copy / "cells")
-    shutil.copy(experiment / "experiment.json", copy)
-    for path in (copy / "cells").rglob(FILE):
-        content = json.loads(path.read_text(encoding="utf-8"))
-        content |= {
-            "peak_rss_mb": None,
-            "resumed": [],
-            "notes": [],
-            "environment": {**content["environment"], "git": None},
-        }
-        content["seconds"] = dict.fromkeys(content["seconds"], 1.0)
-        content["skips"] = [skip for skip in content["skips"] if skip["name"] != "prior"]
-        path.write_text(json.dumps(content), encoding="utf-8")
-    for path in (copy / "cells").rglob("log.csv"):
-        log = pd.read_csv(path, dtype=str, keep_default_na=False)
-        log.assign(**({"seconds": "1"} if "seconds" in log else {})).to_csv(path, index=False)
-    return copy
+def _tables(experiment: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (experiment / "tables").glob("*")}

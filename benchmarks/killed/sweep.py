@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from filelock import FileLock, Timeout
 
@@ -27,8 +27,6 @@ SIGNALS = ("SIGKILL", "SIGTERM", "SIGINT")
 MAX_SECONDS = 300.0  # of a run that nothing ends
 MAX_ABORT = 10.0  # seconds from SIGABRT to the end of the process
 MAX_ENDING = 30.0  # seconds from SIGTERM or SIGINT to the end of the process
-
-How = Literal["SIGKILL", "SIGTERM", "SIGINT", "full disk"]
 
 
 class Plan(NamedTuple):

@@ -19,7 +19,6 @@ from tdgbench.compare.cells import (
     score_table,
     verdicts_by_metric,
 )
-from tdgbench.compare.page import write_page
 from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
 from tdgbench.scoring import METRICS
@@ -41,7 +40,7 @@ def main(arguments: list[str]) -> int:
     )  # fmt: skip
     parser.add_argument("a", type=Path, metavar="A", help="folder results/<experiment>, or a pack")
     parser.add_argument("b", type=Path, metavar="B", help="another one")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.csv and compare.html there")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.csv there")
     options = parser.parse_args(arguments)
     try:
         with opened_pack(options.a) as a, opened_pack(options.b) as b:
@@ -66,8 +65,7 @@ def _compare(a: Path, b: Path, out: Path | None) -> int:
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_text(out / "compare.csv", as_csv(table, na_rep="n/a"))
-        write_page(out / "compare.html", (a.resolve().name, b.resolve().name), findings, table, causes, pairs)
-        say(f"{out / 'compare.csv'}, {out / 'compare.html'}")
+        say(str(out / "compare.csv"))
     apart = table["verdict"].isin(["better", "worse"]).any()
     return int(apart or any(cause.kind == PROTOCOL for cause in causes))
 

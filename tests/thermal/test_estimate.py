@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.thermal import errors_of
 from tdgbench.scenes import FolderDataset, PointCloud, ReadOptions, View
 from tdgbench.scenes.synthetic.truth import read_truth
 from tdgbench.thermal import ThermalCamera, Unknown, estimate_camera
 from tdgbench.thermal.camera import normalized_truth
 from tdgbench.thermal.maps import evaluate
+from tests.helpers.drift import errors_of
 from tests.helpers.layouts import celsius
 
 
