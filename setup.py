@@ -11,6 +11,7 @@ setup(
         "tdgbench": ["py.typed"],
         "methods": ["py.typed"],
         "tdgbench.report": ["*.j2", "*.css", "*.js"],
+        "tdgbench.compare": ["*.j2"],
         "tdgbench.site": ["*.j2"],
         "tdgbench.view": ["*.j2", "*.js"],
         "tdgbench.conf": ["**/*.yaml"],

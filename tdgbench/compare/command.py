@@ -19,6 +19,7 @@ from tdgbench.compare.cells import (
     score_table,
     verdicts_by_metric,
 )
+from tdgbench.compare.page import write_page
 from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
 from tdgbench.scoring import METRICS
@@ -40,7 +41,7 @@ def main(arguments: list[str]) -> int:
     )  # fmt: skip
     parser.add_argument("a", type=Path, metavar="A", help="folder results/<experiment>, or a pack")
     parser.add_argument("b", type=Path, metavar="B", help="another one")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.csv there")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.csv and compare.html there")
     options = parser.parse_args(arguments)
     try:
         with opened_pack(options.a) as a, opened_pack(options.b) as b:
@@ -65,7 +66,8 @@ def _compare(a: Path, b: Path, out: Path | None) -> int:
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_text(out / "compare.csv", as_csv(table, na_rep="n/a"))
-        say(str(out / "compare.csv"))
+        write_page(out / "compare.html", (a.resolve().name, b.resolve().name), findings, table, causes, pairs)
+        say(f"{out / 'compare.csv'}, {out / 'compare.html'}")
     apart = table["verdict"].isin(["better", "worse"]).any()
     return int(apart or any(cause.kind == PROTOCOL for cause in causes))
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pandas as pd
 import pytest
+from PIL import Image
 
+from tdgbench.bench.record import read_record
 from tdgbench.compare.causes import MACHINE, PROTOCOL, TRAINING, find_causes, settings
 from tdgbench.compare.cells import find_pairs, score_table
 from tdgbench.compare.command import main
@@ -106,12 +110,23 @@ def test_without_a_common_cell_the_folders_are_named(tmp_path, capsys):
     assert main([str(tmp_path / "a"), str(tmp_path / "c")]) == 2
 
 
-def test_the_table_has_every_score(tmp_path, capsys):
-    a, b = two_experiments(tmp_path, [20.0, 21.0], [20.0, 21.0])
+def test_page_and_table_show_the_view_that_differs_most(tmp_path, small_results, capsys):
+    a, b = (shutil.copytree(small_results, tmp_path / name) for name in "ab")
+    folder = next(path.parent for path in sorted(b.rglob("record.json")) if read_record(path.parent).failure is None)
+    views = pd.read_csv(folder / "views.csv")
+    views.loc[1, "psnr"] += 3
+    views.to_csv(folder / "views.csv", index=False)
+    picture = folder / "renders" / f"{views.loc[1, 'view']}.png"
+    Image.fromarray(255 - np.asarray(Image.open(picture))).save(picture)
+    other = next(path for path in sorted(b.rglob("views.csv")) if path.parent != folder)
+    other.unlink()
     assert main([str(a), str(b), "--out", str(tmp_path / "out")]) == 0
+    page = (tmp_path / "out" / "compare.html").read_text()
+    assert "n/a: views.csv is missing" in page
+    assert f"test view {views.loc[1, 'view']}" in page
+    assert page.count("<figure>") == 3 * (len(pairs_of(a, b)) - 1)
     table = pd.read_csv(tmp_path / "out" / "compare.csv")
-    assert set(table["verdict"].dropna()) == {"identical"} and "psnr" in set(table["metric"])
-    assert str(tmp_path / "out" / "compare.csv") in capsys.readouterr().out
+    assert set(table["verdict"].dropna()) == {"identical"}
 
 
 def test_the_place_of_weights_is_no_protocol():

@@ -1,0 +1,86 @@
+"""`compare.html`: the comparison with pictures, one file that opens from disk."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from tdgbench.bench.colours import colored, in_colour
+from tdgbench.bench.renders import stored_view
+from tdgbench.compare.causes import KINDS, Cause
+from tdgbench.compare.cells import NUMBERS, PLACE, Pair, Pairs, numbers_as_text
+from tdgbench.files import write_text
+from tdgbench.report.page import environment
+from tdgbench.report.views import ERROR, ERROR_RANGE, embedded
+from tdgbench.tables.measures import MEASURES
+
+MOST_PICTURES = 24  # of cells, so that a page stays some megabytes
+
+
+def write_page(
+    path: Path,
+    names: tuple[str, str],
+    findings: Sequence[str],
+    table: pd.DataFrame,
+    causes: Sequence[Cause],
+    pairs: Pairs,
+) -> None:
+    """Write the page. names: of A and B. table: from `score_table`."""
+    shown = [(place, min(seeds.items())) for place, seeds in pairs.by_place.items()]
+    html = environment("tdgbench.compare").get_template("page.html.j2").render(
+        a=names[0], b=names[1], findings=findings,
+        causes=[(kind, meaning, [cause.sentence(len(pairs)) for cause in causes if cause.kind == kind])
+                for kind, meaning in KINDS.items()],
+        heads=[*PLACE, "score", "seeds", *NUMBERS.values(), "verdict"], words=len(PLACE) + 1,
+        rows=[_row(row) for row in table.to_dict("records")],
+        pictures=[picture(", ".join(filter(None, place)) + f", seed {seed}", pair)
+                  for place, (seed, pair) in shown[:MOST_PICTURES]],
+    )  # fmt: skip
+    write_text(path, html)
+
+
+def _row(row: dict[Any, Any]) -> list[tuple[str, object]]:
+    """Return (text, what it is sorted by) of each column."""
+    described = MEASURES[row["metric"]]
+    name = described.label + (f", {described.images}" if described.images else "")
+    texts = numbers_as_text(row)
+    values = [row["ci90_low"] if number == "interval" else row[number] for number in NUMBERS]
+    return [
+        *((row[part], row[part]) for part in PLACE), (name, name), (str(row["seeds"]), row["seeds"]),
+        *((text, "" if np.isnan(value) else value) for text, value in zip(texts.values(), values, strict=True)),
+        (row["verdict"], row["verdict"]),
+    ]  # fmt: skip
+
+
+def picture(title: str, pair: Pair) -> dict[str, object]:
+    """Return the pictures of the test view whose PSNR differs most between the two cells of a pair."""
+    view = ""
+    try:
+        view = _most_different(pair)
+        a, b = (stored_view(cell.folder, view) for cell in pair)
+        if a.render.shape != b.render.shape:
+            raise ValueError(f"the renders have {a.render.shape[:2]} and {b.render.shape[:2]} pixels")
+    except (OSError, ValueError) as error:
+        return {"title": title, "view": view, "problem": str(error)}
+    difference = np.abs(a.render.astype(float) - b.render).mean(axis=2) / 255
+    images = {"a": a.render, "b": b.render, "truth": a.truth}
+    return {
+        "title": title, "view": view, "problem": "", "range": ERROR_RANGE,
+        **{name: embedded(in_colour(pixels)) for name, pixels in images.items()},
+        "difference": embedded(colored(difference, ERROR, 0, ERROR_RANGE)),
+    }  # fmt: skip
+
+
+def _most_different(pair: Pair) -> str:
+    tables = [table.set_index("view")["psnr"] for table in (cell.views() for cell in pair) if table is not None]
+    if len(tables) < 2:
+        raise ValueError("views.csv is missing or unusable")
+    a, b = tables
+    common = (a - b).abs().dropna()
+    if common.empty:
+        raise ValueError("no test view has a PSNR in both")
+    return str(common.idxmax())
