@@ -1,7 +1,7 @@
 """Points from multi-view stereo on the thermal training images with the given poses; no RGB image, no test view.
 
-A plane sweep: each pixel gets the depth at which its surroundings look most alike in the nearest views. Depths that
-other views confirm become points.
+A plane sweep: each pixel gets the depth at which its surroundings look most alike in the nearest views, or, without
+texture, that of its neighbours. Depths that other views confirm become points, at the mean of what these views find.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 from scipy.ndimage import map_coordinates, uniform_filter
 
+from tdgbench.bench.init.semi_global import aggregated
 from tdgbench.scenes import Camera, PointCloud, Scene, SceneError, View
 from tdgbench.scenes.images import resize
 
@@ -34,8 +35,10 @@ class ThermalStereo:
     width: of the images that are compared, px, at most. window: side of what is compared, px. planes: depths in
     geometric progression from `near` to `far`, × scene extent. neighbours: views that a view is compared with, the
     nearest that are at least `baseline` × extent away and whose optical axis is less than `degrees` off; the better
-    half counts, as others may be occluded. correlation: smallest. agreeing: other views whose depth is the same, to the
-    share `tolerance`. spacing: of the points, × median depth; the points of a cell become their mean.
+    half counts, as others may be occluded. slant, jump: penalties of `aggregated`. cost: greatest one of a
+    depth, where that is 1 − correlation. These three are × the median over pixels of the least cost, so that noise is
+    smoothed and detail is not. agreeing: other views whose depth is the same, to the share `tolerance`. spacing: of the
+    points, × median depth; the points of a cell become their mean.
     """
 
     width: Annotated[int, Field(ge=16)]
@@ -46,7 +49,9 @@ class ThermalStereo:
     neighbours: PositiveInt
     baseline: PositiveFloat
     degrees: PositiveFloat
-    correlation: Annotated[float, Field(gt=-1, lt=1)]
+    slant: PositiveFloat
+    jump: PositiveFloat
+    cost: PositiveFloat
     agreeing: PositiveInt
     tolerance: PositiveFloat
     spacing: PositiveFloat
@@ -77,13 +82,13 @@ class ThermalStereo:
         valid = np.ones(view.thermal.shape[:2], np.float32) if view.valid is None else view.valid.astype(np.float32)
         gray = resize(view.thermal, camera.width, camera.height).mean(axis=2)
         known = resize(valid[..., None], camera.width, camera.height)[..., 0] > 1 - 1e-6
-        return Picture(camera, gray, uniform_filter(known.astype(np.float32), self.window, mode="constant") > 1 - 1e-6)
+        return Picture(camera, gray, self._mean(known.astype(np.float32)) > 1 - 1e-6)
 
     def _depth(self, index: int, pictures: list[Picture], extent: float) -> np.ndarray:
         """Return depths (H, W) of a view, world units; NaN where no depth is alike enough or none was measured."""
         camera, gray, known = pictures[index]
         others = self._neighbours(index, pictures, extent)
-        if not others:
+        if not others or not known.any():
             return np.full(gray.shape, np.nan)
         depths = np.geomspace(self.near * extent, self.far * extent, self.planes)
         rays, mean = _rays(camera), self._mean(gray)
@@ -99,11 +104,15 @@ class ThermalStereo:
                 score = (self._mean(gray * seen) - mean * seen_mean) / (deviation * seen_deviation)
                 scores.append(np.where(other.camera.holds(pixels, behind).reshape(gray.shape), score, -1))
             alike[number] = np.sort(scores, axis=0)[len(scores) // 2 :].mean(axis=0)
-        best = alike[1:-1].argmax(axis=0)[None] + 1  # not the first and last: the maximum may lie beyond
-        before, peak, after = (np.take_along_axis(alike, best + step, axis=0)[0] for step in (-1, 0, 1))
-        curvature = np.minimum(before - 2 * peak + after, -1e-6)
+        costs = 1 - alike
+        typical = float(np.median(costs.min(axis=0)[known]))
+        smooth = aggregated(np.where(known, costs, 0), self.slant * typical, self.jump * typical)
+        best = smooth[1:-1].argmin(axis=0)[None] + 1  # not the first and last: the minimum may lie beyond
+        before, least, after = (np.take_along_axis(smooth, best + step, axis=0)[0] for step in (-1, 0, 1))
+        curvature = np.maximum(before - 2 * least + after, 1e-6)
         between = np.clip((before - after) / (2 * curvature), -0.5, 0.5)  # vertex of the parabola through the three
-        sharp = (peak > np.maximum(before, after)) & (peak > self.correlation) & known
+        alike_enough = np.take_along_axis(costs, best, axis=0)[0] <= self.cost * typical
+        sharp = (least < np.minimum(before, after)) & alike_enough & known
         return np.where(sharp, depths[0] * (depths[1] / depths[0]) ** (best[0] + between), np.nan)
 
     def _mean(self, image: np.ndarray) -> np.ndarray:
@@ -123,19 +132,27 @@ class ThermalStereo:
     def _confirmed(
         self, index: int, pictures: list[Picture], depths: list[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return world points (N, 3) of a view's depths that enough other views share, and their gray values (N,)."""
+        """Return world points (N, 3) of a view's depths that enough other views share, and their gray values (N,).
+
+        A depth is replaced by the mean over its view and those that share it, as each has its own error of matching.
+        """
         camera, gray, _ = pictures[index]
         z, found = depths[index].ravel(), np.isfinite(depths[index]).ravel()
-        points = camera.center + _rays(camera)[found] * z[found, None]
-        agreeing = np.zeros(len(points), int)
+        steps = _rays(camera)[found] * z[found, None]
+        points = camera.center + steps
+        agreeing, ratios = np.zeros(len(points), int), np.ones(len(points))
         for number, (other, depth) in enumerate(zip(pictures, depths, strict=True)):
             if number != index:
                 pixels, expected = other.camera.project(points)
-                seen = other.camera.holds(pixels, expected)
+                seen = np.flatnonzero(other.camera.holds(pixels, expected))
                 columns, rows = pixels[seen].astype(int).T
-                agreeing[seen] += np.abs(depth[rows, columns] / expected[seen] - 1) < self.tolerance
+                ratio = depth[rows, columns] / expected[seen]
+                same = np.abs(ratio - 1) < self.tolerance
+                agreeing[seen[same]] += 1
+                ratios[seen[same]] += ratio[same]
         kept = agreeing >= self.agreeing
-        return points[kept], gray.ravel()[found][kept]
+        means = camera.center + steps * (ratios / (agreeing + 1))[:, None]
+        return means[kept], gray.ravel()[found][kept]
 
 
 def _rays(camera: Camera) -> np.ndarray:
