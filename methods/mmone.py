@@ -96,7 +96,7 @@ class MultimodalControl(DensityControl):
         """
         rules, values = self.rules, self.state.values
         by_gradients = self._by_gradients()
-        strength, grow, prune = decision or by_gradients
+        strength, grow, faint, rounds = decision or by_gradients
         rejected = by_gradients.grow & ~grow
         decomposed = self._decomposed(by_gradients.strength)
         if rules.max_gaussians is not None:
@@ -110,8 +110,8 @@ class MultimodalControl(DensityControl):
             self._switch_off("opacity_logits", decomposed)
             self._switch_off("opacity_logits", self._is_spared_without("thermal"))
             self._switch_off(OPACITY_RGB, self._is_spared_without("rgb"))
-        prune = prune & (_opacities(self.state.split(values))["rgb"] <= rules.kept_opacity)
-        decision = GrowthDecision(strength, grow, prune)
+        faint = faint & (_opacities(self.state.split(values))["rgb"] <= rules.kept_opacity)
+        decision = GrowthDecision(strength, grow, faint, rounds)
         removed, added = super().removed_and_added(change, iteration, generator, decision)
         spared = decomposed[removed]
         change.cloned += len(copies)

@@ -109,11 +109,12 @@ class DensityChange:
 
 
 class GrowthDecision(NamedTuple):
-    """Which of N Gaussians to grow and to prune."""
+    """Which of N Gaussians grow, and which have next to no weight in the views that a round looked at."""
 
     strength: Tensor  # (N,): if not all can grow, the strongest do
     grow: Tensor  # (N,) bool
-    prune: Tensor  # (N,) bool
+    faint: Tensor  # (N,) bool
+    rounds: int  # that look at every training view once; a Gaussian that is faint in so many in a row is pruned
 
 
 @dataclass
@@ -135,6 +136,7 @@ class DensityControl:
     def __init__(self, rules: DensityRules, extent: float, state: TrainingState, iterations: int) -> None:
         """extent: of the scene, world units. iterations: length of the training."""
         self.rules, self.extent, self.state, self.iterations = rules, extent, state, iterations
+        self.faint_rounds = state.values.new_zeros(len(state))  # (N,): in how many of the last rounds it was faint
         self._clear()
 
     def _clear(self) -> None:
@@ -195,13 +197,14 @@ class DensityControl:
         return self.grad_sum.device.type == "cpu" and self.grad_sum.dtype == torch.float32
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Return what was accumulated since the last change, as `torch.save` takes it."""
-        tensors = {name: getattr(self, name).cpu() for name in self.accumulated}
+        """Return what was accumulated, as `torch.save` takes it."""
+        tensors = {name: getattr(self, name).cpu() for name in (*self.accumulated, "faint_rounds")}
         return {name: tensor for name, tensor in tensors.items() if len(tensor)}
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
         """Restore what `state_dict` returned, after the rows were restored."""
         self._clear()
+        self.faint_rounds = self.state.values.new_zeros(len(self.state))
         for name, tensor in saved.items():
             getattr(self, name).copy_(tensor)
 
@@ -245,7 +248,8 @@ class DensityControl:
             optimizer.flush()
         if change.densified:
             free_buffers()  # of renders: the new Gaussians need the memory
-            self.state.replace_rows(*self.removed_and_added(change, iteration, generator, decision))
+            removed, added = self.removed_and_added(change, iteration, generator, decision)
+            self.replace_rows(removed, added)
             self._clear()
             free_buffers()
         if change.opacity_reset:
@@ -254,6 +258,12 @@ class DensityControl:
                 self.state.values[:, self.state.columns_of(name)].clamp_max_(logit)
                 optimizer.reset_moments(name)
         return change
+
+    def replace_rows(self, removed: Tensor, added: Tensor) -> None:
+        """Remove rows (n,), ascending, of the training state, and append others (m, columns)."""
+        kept = torch.ones_like(self.faint_rounds, dtype=torch.bool).index_fill_(0, removed, False)
+        self.faint_rounds = torch.cat([self.faint_rounds[kept], self.faint_rounds.new_zeros(len(added))])
+        self.state.replace_rows(removed, added)
 
     def removed_and_added(
         self, change: DensityChange, iteration: int, generator: torch.Generator, decision: GrowthDecision | None
@@ -272,7 +282,8 @@ class DensityControl:
         clone, split = (grow & small).nonzero().squeeze(1), (grow & ~small).nonzero().squeeze(1)
         change.cloned, change.split = len(clone), len(split)
 
-        remove = self._is_transparent(old) | decision.prune
+        self.faint_rounds = torch.where(decision.faint, self.faint_rounds + 1, 0)
+        remove = self._is_transparent(old) | (self.faint_rounds >= decision.rounds)
         if iteration > rules.opacity_reset_every:
             remove |= largest > rules.max_world_scale * self.extent
             if rules.screen_radius_prune:
@@ -296,7 +307,7 @@ class DensityControl:
         total = self.absolute_sum if self.rules.uses_absolute else self.grad_sum
         grads = torch.nan_to_num(total / self.view_counts)
         grow = grads >= self.rules.grad_threshold
-        return GrowthDecision(grads, grow, torch.zeros_like(grow))
+        return GrowthDecision(grads, grow, torch.zeros_like(grow), 1)
 
     def _children(self, parents: Tensor, generator: torch.Generator) -> Tensor:
         """Split parents (n, columns) into smaller Gaussians (split_into · n, columns), at positions drawn from them."""

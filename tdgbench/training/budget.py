@@ -19,7 +19,7 @@ class GrowthRule:
 
     views: PositiveInt  # training views that a round renders
     z: NonNegativeFloat  # standard deviations of noise by which the halves of a Gaussian that grows differ
-    min_weight: NonNegativeFloat  # px of full size per view that shows a Gaussian; one with less weight is pruned
+    min_weight: NonNegativeFloat  # px of full size per view that shows a Gaussian; one with less is faint
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ stricter. The variance of D between views is no help: a model that lacks Gaussia
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import NamedTuple
@@ -35,7 +36,7 @@ FAINTER = 0.5 / NARROWER  # opacity of a half: both together have the Gaussian's
 
 
 class GrowthTest:
-    """Decides which Gaussians of a model grow and which are pruned, by a rule of the budget."""
+    """Decides which Gaussians of a model grow and which are faint, by a rule of the budget."""
 
     def __init__(
         self,
@@ -61,7 +62,10 @@ class GrowthTest:
 
     @torch.no_grad()
     def decide(self, gaussians: Gaussians, degree: int, round_number: int) -> GrowthDecision:
-        """Return which Gaussians to grow and prune. degree: of the harmonics in use."""
+        """Return which Gaussians grow, and which are faint in the round's views. degree: of the harmonics in use.
+
+        A wall may hide a room from the views of one round, so that what is faint in them may be all that others show.
+        """
         views, weight = gaussians.means.new_zeros(2, len(gaussians))
         difference = gaussians.means.new_zeros(len(gaussians), gaussians.channels)
         active, halves = gaussians.activated(degree), split_in_halves(gaussians)
@@ -74,13 +78,18 @@ class GrowthTest:
         strength = difference.square().mean(dim=1).sqrt() / (self.noise * weight.sqrt())
         strength = torch.where(is_known, strength, 0.0)
         is_faint = self.curriculum.scale**2 * weight < self.rule.min_weight * views
-        return GrowthDecision(strength, strength > self.rule.z, (views >= FEWEST_VIEWS) & is_faint)
+        rounds = math.ceil(len(self._views) / self.rule.views)
+        return GrowthDecision(strength, strength > self.rule.z, (views >= FEWEST_VIEWS) & is_faint, rounds)
 
     def views_of_round(self, round_number: int) -> list[View]:
         """Return the views of a round, evenly spread and shifted by one in every round."""
-        views = [view for view in self.views if self.curriculum.shows(view)]
+        views = self._views
         count = min(self.rule.views, len(views))
         return [views[(round_number + i * len(views) // count) % len(views)] for i in range(count)]
+
+    @property
+    def _views(self) -> list[View]:
+        return [view for view in self.views if self.curriculum.shows(view)]
 
     def measure(self, view: View, active: GaussianTensors, halves: GaussianTensors) -> Footprints:
         """Render a view and return the footprints of the Gaussians, and of their halves, in its residual."""

@@ -5,7 +5,7 @@ import torch
 from hydra.utils import instantiate
 
 from tdgbench.splats import Gaussians
-from tdgbench.splats.density import DensityControl, DensityRules
+from tdgbench.splats.density import DensityControl, DensityRules, GrowthDecision
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
@@ -115,6 +115,26 @@ def test_cap_keeps_the_hottest(rules):
     last = density.state.values[4, :3].clone()
     result, change = update(density, 600)
     assert change.cloned == 1 and rows_of(result, [last]) == [2]
+
+
+def decided(density: DensityControl, faint: set[int]) -> int:
+    """Number of Gaussians after a round that grows none, where those at x in `faint` are; 2 rounds show all."""
+    state = density.state
+    x = state.split(state.values).means[:, 0].round().int().tolist()
+    none, chosen = torch.zeros(len(x)), torch.tensor([number in faint for number in x])
+    optimizer, generator = Adam(state, RATES, EXTENT), torch.Generator().manual_seed(0)
+    density.update(optimizer, 600, generator, GrowthDecision(none, none > 0, chosen, rounds=2))
+    return len(state)
+
+
+def test_what_is_faint_in_rounds_that_show_all_views_is_pruned(rules):
+    density = control(rules)
+    assert decided(density, {0, 3}) == 4  # without the transparent one
+    restored = DensityControl(rules, EXTENT, density.state, iterations=30_000)
+    restored.load_state_dict(density.state_dict())
+    assert decided(restored, {3}) == 3
+    assert decided(restored, {0}) == 3  # the round before showed it
+    assert decided(restored, {0}) == 2
 
 
 def test_everything_may_be_pruned(rules):
