@@ -40,7 +40,7 @@ def tensors(result: ExactRender) -> list[Tensor]:
     ("seed", "count", "size"),
     [
         (0, 3000, (160, 120)), (1, 3000, (160, 120)),
-        pytest.param(0, 20_000, (640, 480), marks=pytest.mark.slow),
+        pytest.param(0, 10_000, (320, 240), marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_the_fast_core_is_exact(seed, count, size):
