@@ -6,7 +6,7 @@ all Gaussians. This scales the gradients that density control tests, and so limi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from pydantic import NonNegativeFloat
@@ -36,21 +36,35 @@ class MSMG(Method):
     def setup(self, context: Context) -> None:
         self.rgb = context.gaussians("rgb")
         self.thermal = context.gaussians("thermal")
-        self.rgb_views = context.views("rgb_views")
+        self.rgb_views = context.views("rgb_views", "rgb")
         self.thermal_views = context.views("thermal_views")
 
     def step(self, iteration: int) -> Step:
-        rgb_view, thermal_view = self.rgb_views.next(), self.thermal_views.next()
-        image = self.rgb.render(rgb_view.camera).image
-        loss_rgb = photometric(image, RGB.tensors_of(rgb_view, image.device)[0], self.lambda_ssim)
-        render = self.thermal.render(thermal_view.camera)
-        target, valid = THERMAL.tensors_of(thermal_view, render.image.device)
-        loss_thermal = thermal_loss(
-            render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid
-        )
+        """Both models take part until the images of one have ended its training (`SettlingRule`)."""
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
-        loss = self.weight_rgb * (1 - share_rgb) * loss_rgb + self.weight_thermal * share_rgb * loss_thermal
-        return Step(loss, {"rgb": loss_rgb, "thermal": loss_thermal}, render, target, valid)
+        losses, terms = [], {}
+        if not self.rgb_views.has_ended:
+            shown = self._rgb_loss()
+            terms["rgb"] = shown.loss
+            losses.append(self.weight_rgb * (1 - share_rgb) * shown.loss)
+        if not self.thermal_views.has_ended or not losses:
+            shown = self._thermal_loss()
+            terms["thermal"] = shown.loss
+            losses.append(self.weight_thermal * share_rgb * shown.loss)
+        return replace(shown, loss=sum(losses[1:], start=losses[0]), terms=terms)
+
+    def _rgb_loss(self) -> Step:
+        view = self.rgb_views.next()
+        render = self.rgb.render(view.camera)
+        target, _ = RGB.tensors_of(view, render.image.device)
+        return Step(photometric(render.image, target, self.lambda_ssim), {}, render, target)
+
+    def _thermal_loss(self) -> Step:
+        view = self.thermal_views.next()
+        render = self.thermal.render(view.camera)
+        target, valid = THERMAL.tensors_of(view, render.image.device)
+        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
+        return Step(loss, {}, render, target, valid)
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:

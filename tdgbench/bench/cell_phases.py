@@ -258,7 +258,7 @@ class CellRun(SetupObserver):
         record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
         record.train_processor_seconds = round(log.processor_seconds, 3)
         work = [part.work for part in trainer.all_parts().values() if isinstance(part, SplatModel)]
-        curricula = [(context.curriculum, context.budget.iterations) for context in trainer.contexts]
+        curricula = [(one, it.budget.iterations) for it in trainer.contexts for one in it.curricula.values()]
         budget, method = trainer.whole_context.budget, trainer.method
         finished = Finished(scene, method.name, "rgb" in method.modalities, budget, log.iterations, curricula, work)
         record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(skips, finished)]

@@ -65,6 +65,11 @@ class ViewOrder(RandomStream):
             self._order = [i for i in order if self.curriculum.shows(self.views[i])]
         return self.curriculum.at_resolution(self.views[self._order.pop()])
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether held-out views have ended the training of the model that sees these views."""
+        return self.curriculum.has_ended
+
     def state_dict(self) -> State:
         return {"order": list(self._order), **super().state_dict()}
 
@@ -89,25 +94,40 @@ class Context:
     skips: Skips = field(default_factory=Skips)
     learns_rig: bool = False  # of the thermal camera
     rig: Rig | None = None  # of the training that runs
+    modality: str = THERMAL.name  # of the stage
     parts: dict[str, Part] = field(default_factory=dict, init=False)
+    curricula: dict[str, Curriculum] = field(default_factory=dict, init=False)  # by modality
+    _modality_of: dict[str, str] = field(default_factory=dict, init=False, repr=False)  # of Gaussians, by name
     _streams: int = field(default=0, init=False, repr=False)
 
-    @cached_property
-    def curriculum(self) -> Curriculum:
-        """The training views of each iteration, and their resolution."""
-        budget, views = self.budget, self.scene.train
-        steps, held_out = [], []
-        if budget.pixels is not None and views:
-            steps = schedule(budget.pixels, views, len(self.points.points), budget.iterations)
-        if budget.settling is not None:
-            held_out = hold_out(budget.settling, views)
-        return self.add_part("curriculum", Curriculum(steps, held_out))
+    def curriculum(self, modality: str) -> Curriculum:
+        """Return what chooses the training views of each iteration, and their resolution, for models of a modality.
 
-    def for_stage(self, number: int, share: float, rig: Rig | None = None) -> Context:
+        Where held-out views decide (`SettlingRule`) it is one for each modality, else that of the stage.
+        """
+        budget, views, is_other = self.budget, self.scene.train, modality != self.modality
+        if is_other and budget.settling is None:
+            return self.curriculum(self.modality)
+        if modality not in self.curricula:
+            steps, held_out = [], []
+            if budget.pixels is not None and views:
+                points = len(self.points.points)
+                steps = schedule(budget.pixels, views, MODALITIES[modality], points, budget.iterations)
+            if budget.settling is not None:
+                held_out = hold_out(budget.settling, views)
+            name = f"{modality}_curriculum" if is_other else "curriculum"
+            self.curricula[modality] = self.add_part(name, Curriculum(steps, held_out))
+        return self.curricula[modality]
+
+    def parts_of(self, modality: str) -> dict[str, Part]:
+        """Return the parts whose training a modality's curriculum ends: its Gaussians; the stage's, all other parts."""
+        return {n: part for n, part in self.parts.items() if self._modality_of.get(n, self.modality) == modality}
+
+    def for_stage(self, number: int, share: float, modality: str = THERMAL.name, rig: Rig | None = None) -> Context:
         """Return the context of a stage (0-based) with a share of the budget; its parts are curriculum and rig."""
-        stage = replace(self, budget=self.budget.for_stage(share), rig=rig)
+        stage = replace(self, budget=self.budget.for_stage(share), rig=rig, modality=modality)
         stage._streams = 1000 * number  # equal seeds give each stage random numbers of its own
-        _ = stage.curriculum  # the first part, which the others follow
+        stage.curriculum(modality)  # the first part, which the others follow
         if rig is not None:
             stage.add_part("rig", rig)
         return stage
@@ -160,18 +180,19 @@ class Context:
         start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self.background(modality), self.rig if images is THERMAL else None
         of_rig = {} if rig is None else {"camera_of": rig.camera}
-        growth, growth_test = self.budget.growth, None
+        growth, growth_test, curriculum = self.budget.growth, None, self.curriculum(modality)
         if growth is not None:
-            views, curriculum = self.scene.train, self.curriculum
-            growth_test = GrowthTest(growth, views, images, curriculum, self.backend, background, **of_rig)
+            growth_test = GrowthTest(growth, self.scene.train, images, curriculum, self.backend, background, **of_rig)
         options = ModelOptions(name or modality, rig, growth_test, background, learning_rates or {}, position_unit)
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(start, budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
+        self._modality_of[options.name] = modality
         return self.add_part(options.name, model)
 
-    def views(self, name: str = "views") -> ViewOrder:
-        """Make a random order of the training views."""
-        return self.add_part(name, ViewOrder(self.scene.train, self._seed(), self.curriculum))
+    def views(self, name: str = "views", modality: str | None = None) -> ViewOrder:
+        """Make a random order of the training views, for models of a modality (None: the stage's)."""
+        curriculum = self.curriculum(modality or self.modality)
+        return self.add_part(name, ViewOrder(self.scene.train, self._seed(), curriculum))
 
     def network(self, name: str, module: torch.nn.Module, rate: Rate) -> Network:
         """Make a network with Adam at a learning rate, which may depend on the iteration (1-based).

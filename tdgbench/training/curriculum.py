@@ -12,6 +12,7 @@ import numpy as np
 from tdgbench.scenes import View
 from tdgbench.scenes.images import nearest_valid, resize
 from tdgbench.training.budget import SCALES, PixelRule
+from tdgbench.training.images import Modality
 from tdgbench.training.part import Part, Report, State
 from tdgbench.training.spectrum import noise_of, significant_amplitudes
 
@@ -32,6 +33,7 @@ class Curriculum(Part):
         self._names = {view.name for view in self.held_out}
         self._step = 0  # in use; len(steps): the full resolution
         self.settled_at = 0  # the last iteration before the tail; 0: there is none yet
+        self.has_ended = False  # after the tail: the model is trained no more
         self._shrunk: dict[str, View] = {}
         self._iteration = 0
         self._trained = [0] * (len(self.steps) + 1)  # iterations at each step
@@ -43,7 +45,7 @@ class Curriculum(Part):
         while not self.settled_at and step < len(self.steps) and iteration > self.steps[step][0]:
             step += 1
         self._use(step)
-        self._trained[self._step] += 1
+        self._trained[self._step] += not self.has_ended
 
     def advance(self) -> None:
         """Go on to the next resolution."""
@@ -88,11 +90,11 @@ class Curriculum(Part):
     def state_dict(self) -> State:
         return {
             "step": self._step, "settled_at": self.settled_at, "is_holding": self.is_holding,
-            "iteration": self._iteration, "trained": list(self._trained),
+            "iteration": self._iteration, "trained": list(self._trained), "has_ended": self.has_ended,
         }  # fmt: skip
 
     def load_state_dict(self, saved: State) -> None:
-        self.settled_at, self.is_holding = saved["settled_at"], saved["is_holding"]
+        self.settled_at, self.is_holding, self.has_ended = (saved[n] for n in ("settled_at", "is_holding", "has_ended"))
         self._iteration, self._trained = saved["iteration"], list(saved["trained"])
         self._use(saved["step"])
 
@@ -101,8 +103,10 @@ class Curriculum(Part):
         return {"iterations": by_scale, "held_out": len(self.held_out), "settled_at": self.settled_at}
 
 
-def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int) -> list[tuple[int, int]]:
-    """Return the steps (last iteration, scale) of `Curriculum`, for the thermal images of the views.
+def schedule(
+    rule: PixelRule, views: list[View], modality: Modality, gaussians: int, iterations: int
+) -> list[tuple[int, int]]:
+    """Return the steps (last iteration, scale) of `Curriculum`, for the images of a modality.
 
     gaussians: their number at the start. Images with fewer pixels than Gaussians save little time.
     """
@@ -114,8 +118,8 @@ def schedule(rule: PixelRule, views: list[View], gaussians: int, iterations: int
     )  # fmt: skip
     amplitudes = []  # without masked pixels
     for view in views:
-        filled, noise = nearest_valid(view.thermal, view.valid), noise_of(view.thermal, view.valid)
-        amplitudes.append(significant_amplitudes(filled, noise, scales))
+        image, valid = modality.array(view), modality.valid(view)
+        amplitudes.append(significant_amplitudes(nearest_valid(image, valid), noise_of(image, valid), scales))
     shares = np.mean(amplitudes, axis=0)
     ends = [int(share * rule.until * iterations) for share in shares]
     return [(end, scale) for end, scale in zip(ends, scales, strict=True) if scale > 1 and end > 0]

@@ -110,7 +110,7 @@ class Finished(NamedTuple):
     trains_on_rgb: bool
     budget: Budget
     iterations: int  # trained
-    curricula: list[tuple[Curriculum, int]]  # of each stage, with the iterations of its budget
+    curricula: list[tuple[Curriculum, int]]  # of each stage and modality, with the iterations of the stage's budget
     work: list[Work]  # of each set of Gaussians
 
 
@@ -164,12 +164,11 @@ def _pixels(skip: Skip, training: Finished) -> None:
     trained: dict[int, int] = {}
     for curriculum, _ in training.curricula:
         for scale, count in curriculum.iterations.items():
-            if scale > 1:
-                trained[scale] = trained.get(scale, 0) + count
-    reason = ", ".join(f"{count} iterations at 1/{scale}" for scale, count in trained.items() if count)
+            trained[scale] = trained.get(scale, 0) + count
+    reason = ", ".join(f"{count} iterations at 1/{scale}" for scale, count in trained.items() if scale > 1 and count)
     left_out = sum(count * (1 - 1 / scale**2) for scale, count in trained.items())
     nothing = "the images are too small, or all of their spectrum is in their highest frequencies"
-    skip.decide(bool(reason), reason or nothing, f"{left_out / max(training.iterations, 1):.0%} of the pixels")
+    skip.decide(bool(reason), reason or nothing, f"{left_out / max(sum(trained.values()), 1):.0%} of the pixels")
 
 
 def _settling(skip: Skip, training: Finished) -> None:

@@ -97,7 +97,8 @@ class Settling(Stopping):
         progress = min(1.0, (iteration - curriculum.settled_at) / length)
         for part in self.parts.values():
             part.scale_learning_rates(self.rule.slowdown**progress)
-        return progress == 1.0
+        curriculum.has_ended = progress == 1.0
+        return curriculum.has_ended
 
     def _stop_growth(self) -> None:
         for part in self.parts.values():
@@ -144,6 +145,27 @@ class Settling(Stopping):
     def _held_out_psnrs(self) -> list[float]:
         """Return the PSNR of the held-out views over valid pixels, at full resolution, dB."""
         return [psnr_of_error(self.errors(view)) for view in self.curriculum.held_out]
+
+
+class AllSettled(Stopping):
+    """Ends a training of models of several modalities, each of which its own held-out images end."""
+
+    reads_loss = False
+
+    def __init__(self, rules: Mapping[str, Settling]) -> None:
+        """rules: by modality."""
+        self.rules = rules
+
+    def state_dict(self) -> State:
+        return {name: rule.state_dict() for name, rule in self.rules.items()}
+
+    def load_state_dict(self, saved: State) -> None:
+        for name, rule in self.rules.items():
+            rule.load_state_dict(saved[name])
+
+    def reached(self, iteration: int, loss: float) -> bool:
+        reached = [rule.reached(iteration, loss) for rule in self.rules.values()]  # all of them look
+        return all(reached)
 
 
 class Plateau(Stopping):

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import torch
 
 from tdgbench.scenes import View
 from tdgbench.training.context import Context
-from tdgbench.training.images import MODALITIES
+from tdgbench.training.images import MODALITIES, THERMAL
 from tdgbench.training.method import Method, Stage
 from tdgbench.training.model import SplatModel
 from tdgbench.training.part import Part, Report, State, Stopping
 from tdgbench.training.pending import Pending
 from tdgbench.training.rig import Rig
-from tdgbench.training.stopping import Plateau, Settling
+from tdgbench.training.stopping import AllSettled, Plateau, Settling
 
 
 class Trainer:
@@ -36,14 +38,20 @@ class Trainer:
         self._start()
 
     def _start(self) -> None:
-        self.context = self.whole_context.for_stage(self.stage_number, self.stage.share, self._rig)
+        self.context = self.whole_context.for_stage(self.stage_number, self.stage.share, self.stage.modality, self._rig)
         self.contexts.append(self.context)
         self.stage.setup(self.context)
         budget, context = self.context.budget, self.context
         self.stopping: Stopping | None = None  # the rule of the budget that may end the stage early
         if budget.settling is not None:
-            parts = (context.curriculum, context.parts)
-            self.stopping = Settling(budget.settling, budget.iterations, *parts, self.render_errors)
+            rules = {
+                name: Settling(
+                    budget.settling, budget.iterations, curriculum, context.parts_of(name),
+                    partial(self.render_errors, modality=name),
+                )
+                for name, curriculum in context.curricula.items()
+            }  # fmt: skip
+            self.stopping = AllSettled(rules) if len(rules) > 1 else rules[self.stage.modality]
         elif budget.plateau is not None:
             self.stopping = Plateau(budget.plateau, len(context.scene.train))
 
@@ -112,9 +120,9 @@ class Trainer:
         return {name: report for name, report in reports.items() if report}
 
     @torch.no_grad()
-    def render_errors(self, view: View) -> np.ndarray:
-        """Return render minus image, in the stage's modality, at the pixels that count: (n, C)."""
-        images = MODALITIES[self.stage.modality]
+    def render_errors(self, view: View, modality: str = THERMAL.name) -> np.ndarray:
+        """Return render minus image of a modality, at the pixels that count: (n, C)."""
+        images = MODALITIES[modality]
         image, valid = images.array(view), images.valid(view)
         error: np.ndarray = self.method.render(self.context.frame(view), images.name).image.cpu().numpy() - image
         return error.reshape(-1, error.shape[2]) if valid is None else error[valid]

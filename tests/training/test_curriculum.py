@@ -7,6 +7,7 @@ from tdgbench.scenes import Camera, View
 from tdgbench.training.budget import PixelRule
 from tdgbench.training.context import ViewOrder
 from tdgbench.training.curriculum import Curriculum, schedule, shrunk
+from tdgbench.training.images import RGB, THERMAL
 
 
 def test_views_have_the_resolution_of_the_iteration(small_scene):
@@ -69,7 +70,7 @@ def wave(period: float) -> np.ndarray:
 
 
 def test_fine_images_get_their_pixels_early_and_coarse_ones_late():
-    coarse, fine = (schedule(RULE, [view(wave(period))], 100, 1000) for period in (40, 3))
+    coarse, fine = (schedule(RULE, [view(wave(period))], THERMAL, 100, 1000) for period in (40, 3))
     assert [scale for _, scale in coarse] == [8, 6, 4, 3, 2] and coarse[0][0] > 300
     assert [last for last, _ in coarse] == sorted(last for last, _ in coarse) and coarse[-1][0] <= 500
     assert all(last < 60 for last, _ in fine)
@@ -77,14 +78,20 @@ def test_fine_images_get_their_pixels_early_and_coarse_ones_late():
 
 def test_images_do_not_get_smaller_than_the_rule_says():
     rule = dataclasses.replace(RULE, smallest_side=40)
-    assert [scale for _, scale in schedule(rule, [view(wave(40))], 100, 1000)] == [2]
-    assert schedule(dataclasses.replace(RULE, largest_scale=1), [view(wave(40))], 100, 1000) == []
+    assert [scale for _, scale in schedule(rule, [view(wave(40))], THERMAL, 100, 1000)] == [2]
+    assert schedule(dataclasses.replace(RULE, largest_scale=1), [view(wave(40))], THERMAL, 100, 1000) == []
 
 
 def test_images_have_no_fewer_pixels_than_there_are_gaussians():
     pixels = 128 * 96
-    assert [scale for _, scale in schedule(RULE, [view(wave(40))], pixels // 9, 1000)] == [3, 2]
-    assert schedule(RULE, [view(wave(40))], pixels, 1000) == []
+    assert [scale for _, scale in schedule(RULE, [view(wave(40))], THERMAL, pixels // 9, 1000)] == [3, 2]
+    assert schedule(RULE, [view(wave(40))], THERMAL, pixels, 1000) == []
+
+
+def test_each_modality_has_a_schedule_of_its_own():
+    both = [view(wave(40), rgb=np.repeat(wave(3), 3, axis=2))]
+    thermal, rgb = (schedule(RULE, both, modality, 100, 1000) for modality in (THERMAL, RGB))
+    assert thermal[-1][0] > 300 and all(last < 60 for last, _ in rgb)
 
 
 def test_the_border_of_a_mask_is_no_detail():
@@ -92,7 +99,7 @@ def test_the_border_of_a_mask_is_no_detail():
     valid = np.ones((96, 128), bool)
     valid[:, 100:] = False
     given = view(ramp), view(ramp * valid[..., None], valid)
-    whole, masked = (schedule(RULE, [one], 100, 1000) for one in given)
+    whole, masked = (schedule(RULE, [one], THERMAL, 100, 1000) for one in given)
     assert [scale for _, scale in masked] == [scale for _, scale in whole]
     assert [last for last, _ in masked] == pytest.approx([last for last, _ in whole], abs=10)
 

@@ -59,7 +59,7 @@ def accounted(trainer, log) -> dict[str, Skip]:
     """The account of a training, by the name of the skip or rule."""
     whole, method = trainer.whole_context, trainer.method
     work = [model.work for model in trainer.gaussians.values()]
-    curricula = [(context.curriculum, context.budget.iterations) for context in trainer.contexts]
+    curricula = [(one, context.budget.iterations) for context in trainer.contexts for one in context.curricula.values()]
     on_rgb = "rgb" in method.modalities
     finished = Finished(whole.scene, method.name, on_rgb, whole.budget, log.iterations, curricula, work)
     return {skip.name: skip for skip in account(whole.skips, finished)}
@@ -147,5 +147,5 @@ def test_each_rule_can_be_switched_off_alone(small_gray_scene, name):
     assert not found[name].allowed and not found[name].taken
     assert all(found[other].taken for other in {"growth", "pixels", "settling"} - {name})
     assert (trainer.gaussians["thermal"].growth_test is None) == (name == "growth")
-    assert (trainer.context.curriculum.steps == []) == (name == "pixels")
-    assert (trainer.context.curriculum.held_out == []) == (name == "settling")
+    assert (trainer.context.curriculum("thermal").steps == []) == (name == "pixels")
+    assert (trainer.context.curriculum("thermal").held_out == []) == (name == "settling")

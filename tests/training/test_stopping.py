@@ -6,11 +6,12 @@ import torch
 
 from tdgbench.training.budget import PlateauRule, SettlingRule
 from tdgbench.training.curriculum import Curriculum
+from tdgbench.training.images import MODALITIES
 from tdgbench.training.loop import train
 from tdgbench.training.part import Part
-from tdgbench.training.stopping import Plateau, Settling, hold_out
+from tdgbench.training.stopping import AllSettled, Plateau, Settling, hold_out
 from tests.helpers.masks import masked_scene
-from tests.helpers.training import digest, ready_to_train
+from tests.helpers.training import digest, digest_of_all, ready_to_train, train_killed
 
 RULE = SettlingRule(
     share=0.1, fewest=1, most=8, every=10, checks=2, last_checks=2, window=0.2, gain=0.1, tail=0.5, slowdown=0.1
@@ -183,19 +184,56 @@ def test_held_out_views_are_spread_and_few_views_are_all_trained_on(small_scene)
     assert len(hold_out(RULE, list(range(400)))) == RULE.most  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("name", ["3dgs", "tdg", "msmg"])
+@pytest.mark.parametrize("name", ["3dgs", "tdg"])
 def test_methods_stop_by_it(small_gray_scene, name):
     trainer = ready_to_train(small_gray_scene, name, 60, CONF, "budget.density.stop=10")
-    assert isinstance(trainer.stopping, Settling) and len(trainer.context.curriculum.held_out) == 1
+    assert isinstance(trainer.stopping, Settling) and len(trainer.context.curriculum("thermal").held_out) == 1
     log = train(trainer)
     assert log.iterations == 15 and log.ended  # checks at 5 and 10; the tail has 5
     assert all(np.isclose(model.optimizer.slowdown, 0.1) for model in trainer.gaussians.values())
 
 
+@pytest.mark.parametrize(("first", "second"), [("rgb", "thermal"), ("thermal", "rgb")])
+def test_each_model_of_msmg_ends_by_its_own_images(small_gray_scene, tmp_path, first, second):
+    """Both stall at the check at 10; the second is made to stall at 20, and trains for 10 iterations more."""
+    ends = {}
+
+    def make():
+        trainer = ready_to_train(small_gray_scene, "msmg", 60, CONF, "budget.density.stop=10")
+        assert isinstance(trainer.stopping, AllSettled) and trainer.stopping.rules.keys() == {"rgb", "thermal"}
+        rule = trainer.stopping.rules[second]
+        settles = rule._settles
+        rule._settles = lambda iteration: settles(iteration) if iteration >= 20 else None
+        return trainer
+
+    def note(log):
+        ends[log.iterations] = trainer.parts[first].copy().means
+
+    trainer = make()
+    log = train(trainer, after_iteration=note)
+    assert log.iterations > 25 and log.ended
+    assert torch.equal(ends[15], ends[log.iterations]) and not torch.equal(ends[13], ends[14])
+    assert set(log.lines[0].terms) == {"rgb", "thermal"} and set(log.lines[-1].terms) == {second}
+    assert trainer.context.curricula[first].iterations == {1: 15}
+    killed, _ = train_killed(make, tmp_path / "a.pt", [12, 22])
+    assert digest_of_all(killed) == digest_of_all(trainer)
+
+
+def test_a_model_settles_by_the_errors_of_its_modality(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "msmg", 60, CONF)
+    assert isinstance(trainer.stopping, AllSettled)
+    for name, rule in trainer.stopping.rules.items():
+        (view,) = rule.curriculum.held_out
+        image = trainer.method.render(trainer.context.frame(view), name).image.numpy()
+        error = image - MODALITIES[name].array(view)
+        assert rule._held_out_psnrs() == pytest.approx([-10 * np.log10(np.square(error).mean(dtype=np.float64))])
+        assert set(rule.parts) & {"rgb", "thermal"} == {name}
+
+
 def test_held_out_views_are_scored_where_they_are_valid(small_gray_scene):
     """A masked pixel has no part in the PSNR by which a training settles."""
     trainer = ready_to_train(masked_scene(small_gray_scene), "3dgs", 60, CONF)
-    (view,) = trainer.context.curriculum.held_out
+    (view,) = trainer.context.curriculum("thermal").held_out
     image = trainer.method.render(trainer.context.frame(view)).image.numpy()
     squares = np.square(image - view.thermal)
     wanted = squares if view.valid is None else squares[view.valid]
