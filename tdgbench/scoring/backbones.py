@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from filelock import FileLock
 from torch import Tensor, nn
 
 from tdgbench.scoring.scored_view import NotApplicableError
@@ -93,7 +94,7 @@ def trunk_weights(net: str, file: str | None, download: bool) -> dict[str, Tenso
     elif cached.exists():
         state = _read(cached)
     elif download:
-        state = _download(net, spec)
+        state = _download(net, spec, cached)
     else:
         raise BackboneUnavailableError(
             f"no {net} backbone: {spec.file} is not in torch's cache and metrics.lpips.download is false"
@@ -131,15 +132,18 @@ def _read(path: Path) -> dict[str, Tensor]:
         raise BackboneUnavailableError(f"{path} cannot be read as backbone weights: {error}") from error
 
 
-def _download(net: str, spec: TrunkSpec) -> dict[str, Tensor]:
+def _download(net: str, spec: TrunkSpec, cached: Path) -> dict[str, Tensor]:
+    """Download into torch's cache; of processes that ask at the same time, one does, and the others wait for it."""
     if net in _failed_downloads:
         raise BackboneUnavailableError(_failed_downloads[net])
     timeout = socket.getdefaulttimeout()
     socket.setdefaulttimeout(DOWNLOAD_TIMEOUT_SECONDS)
     try:
-        return torch.hub.load_state_dict_from_url(
-            HUB + spec.file, map_location="cpu", progress=False, check_hash=True, weights_only=True
-        )
+        cached.parent.mkdir(parents=True, exist_ok=True)
+        with FileLock(cached.with_suffix(".lock")):
+            return torch.hub.load_state_dict_from_url(
+                HUB + spec.file, map_location="cpu", progress=False, check_hash=True, weights_only=True
+            )
     except Exception as error:
         _failed_downloads[net] = (
             f"backbone {spec.file} could not be downloaded ({error}); put it into torch's cache or set "

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import torch
+from filelock import FileLock, Timeout
 
 from tdgbench.scoring import backbones
 from tdgbench.scoring.backbones import SPECS, BackboneUnavailableError, make_trunk, trunk_weights
@@ -62,3 +63,18 @@ def test_a_failed_download_is_tried_once(monkeypatch, tmp_path):
         with pytest.raises(BackboneUnavailableError, match="no network"):
             trunk_weights("alex", None, download=True)
     assert len(calls) == 1
+
+
+def test_one_of_several_processes_downloads(monkeypatch, tmp_path):
+    """The others wait for it, and read what it has put into the cache."""
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    cached = tmp_path / "hub" / "checkpoints" / SPECS["squeeze"].file
+
+    def fetch(url, **kwargs):
+        with pytest.raises(Timeout):
+            FileLock(cached.with_suffix(".lock")).acquire(timeout=0)
+        return {f"features.{name}": value for name, value in random_state("squeeze").items()}
+
+    monkeypatch.setattr(torch.hub, "load_state_dict_from_url", fetch)
+    assert trunk_weights("squeeze", None, download=True)
+    FileLock(cached.with_suffix(".lock")).acquire(timeout=0)
