@@ -34,6 +34,12 @@ def ctrl_c_is_heard() -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def torch_has_one_thread() -> None:
+    """As in cells. Two processes of tests with two OpenMP threads each would mostly wait for one another."""
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session", autouse=True)
 def auto_is_the_cpu() -> Iterator[None]:
     """Tests compare bytes, which a GPU need not repeat: `backend=auto` is the CPU, wherever they run."""
     with pytest.MonkeyPatch.context() as patch:
