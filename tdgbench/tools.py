@@ -29,9 +29,9 @@ TOOLS = {
     ),
     "compare": Tool(
         (("A B, score DIR OUT [metrics=...]", "two result folders; DIR scored by another protocol, without training"),),
-        "tdgbench.compare",
+        "tdgbench.compare.command",
     ),
-    "score": Tool((), "tdgbench.rescore"),
+    "score": Tool((), "tdgbench.rescore.command"),
     "data": Tool(
         (
             ("get NAME DIR, check DIR", "download thermalmix, rgbt_scenes or thermoscenes; which scenes are whole?"),
@@ -54,6 +54,6 @@ TOOLS = {
         (("DIR, unpack PACK DIR, site PACK DIR", "results in one file, to hand on; and back; web pages of packs"),),
         "tdgbench.packs.command",
     ),
-    "site": Tool((), "tdgbench.site"),
+    "site": Tool((), "tdgbench.site.command"),
     "unpack": Tool((), "tdgbench.packs.command", "unpack_main"),
 }

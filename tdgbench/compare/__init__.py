@@ -1,5 +1,1 @@
 """`tdgbench compare A B`: two result folders side by side: scores, verdicts, and what differs behind them."""
-
-from tdgbench.compare.command import main
-
-__all__ = ["main"]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,18 +55,14 @@ class Pairs:
 
 def find_pairs(a: Iterable[Cell], b: Iterable[Cell]) -> Pairs:
     """Match the finished cells of two experiments."""
-    mine, theirs = ({_identity(cell): cell for cell in cells} for cells in (a, b))
+    identity = attrgetter(*PLACE)
+    mine, theirs = ({(identity(cell.record), cell.record.seed): cell for cell in cells} for cells in (a, b))
     by_place: dict[Place, dict[int, Pair]] = {}
     for place, seed in sorted(mine.keys() & theirs.keys()):
         by_place.setdefault(place, {})[seed] = Pair(mine[place, seed], theirs[place, seed])
     alone = ([cells[key].record.title for key in sorted(cells.keys() - others.keys())]
              for cells, others in ((mine, theirs), (theirs, mine)))  # fmt: skip
     return Pairs(by_place, *alone)
-
-
-def _identity(cell: Cell) -> tuple[Place, int]:
-    record = cell.record
-    return (record.dataset, record.scene, record.method, record.init, record.variant), record.seed
 
 
 def score_table(pairs: Pairs, are_repeats: bool) -> pd.DataFrame:

@@ -84,7 +84,6 @@ def _cells(experiment: Path) -> list[Cell]:
 
 
 def sentences(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> list[str]:
-    """Return what was found."""
     found = []
     if (table.loc[table["metric"].isin(METRICS), "verdict"] == IDENTICAL).all():
         found.append(f"all scores of the {len(pairs)} cells that both have are identical")

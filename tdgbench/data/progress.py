@@ -6,17 +6,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from rich import progress
 from rich.filesize import decimal
-from rich.progress import (
-    BarColumn,
-    DownloadColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-    TransferSpeedColumn,
-)
 
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
@@ -41,9 +32,11 @@ def step(name: str, total: int | None, is_bytes: bool = False) -> Iterator[Count
     """
     name, screen, start = one_line(name), console(), time.perf_counter()
     if screen.is_terminal:
-        done = (DownloadColumn(), TransferSpeedColumn()) if is_bytes else (MofNCompleteColumn(),)
-        columns = TextColumn("{task.description}", markup=False), BarColumn(bar_width=30), *done
-        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=screen) as bar:
+        of_bytes = progress.DownloadColumn(), progress.TransferSpeedColumn()
+        done = of_bytes if is_bytes else (progress.MofNCompleteColumn(),)
+        times = progress.TimeElapsedColumn(), progress.TimeRemainingColumn()
+        columns = progress.TextColumn("{task.description}", markup=False), progress.BarColumn(bar_width=30), *done
+        with progress.Progress(*columns, *times, console=screen) as bar:
             task = bar.add_task(name, total=total)
             yield lambda done: bar.update(task, completed=done)
         return

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.plan import read_plan
-from tdgbench.bench.record import Record, read_each
+from tdgbench.bench.record import read_each
 from tdgbench.scenes.modalities import THERMAL
 
 FEWEST_SEEDS = 3  # of which a spread can be stated
@@ -31,13 +31,15 @@ def checklist(experiment: Path) -> list[Item]:
         seeds[record.title.replace(f", seed {record.seed}", "")].add(record.seed)
     few = [title for title, found in seeds.items() if len(found) < FEWEST_SEEDS]
     planned = max(read_plan(experiment).cells_with_data, len(cells))  # some may be of an earlier plan
+    unfinished = planned - len(finished)
     protocols = sorted({record.protocol for record in finished})
-    fewer = [r.title for r in finished if _renders(r) != r.views.get("test", 0)]
+    pictures = f"{files_of(THERMAL).renders}/"
+    fewer = [r.title for r in finished if sum(n.startswith(pictures) for n in r.hashes) != r.views.get("test", 0)]
     unknown = [r.title for r in finished if not all(r.environment.get(name) for name in OF_A_MACHINE)]
     edited = [r.title for r in finished if not r.environment.get("git") or r.environment["git"]["dirty"]]
     logs = [r.title for folder, r in cells if r in finished and not (folder / "log.csv").exists()]
     return [
-        Item("every planned cell is finished", _count(planned - len(finished), f"of {planned} cells")),
+        Item("every planned cell is finished", f"{unfinished} of {planned} cells" if unfinished else ""),
         Item(f"{FEWEST_SEEDS} seeds of each cell", _first(few)),
         Item("all test views are there", _first(fewer)),
         Item("one protocol", ", ".join(protocols) if len(protocols) != 1 else ""),
@@ -45,14 +47,6 @@ def checklist(experiment: Path) -> list[Item]:
         Item("a commit without changes made it", _first(edited)),
         Item("a log of each training", _first(logs)),
     ]
-
-
-def _renders(record: Record) -> int:
-    return sum(name.startswith(f"{files_of(THERMAL).renders}/") for name in record.hashes)
-
-
-def _count(number: int, of_what: str) -> str:
-    return f"{number} {of_what}" if number > 0 else ""
 
 
 def _first(titles: list[str]) -> str:

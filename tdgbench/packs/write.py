@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 from tdgbench import __version__
@@ -15,11 +15,12 @@ from tdgbench.bench.stored import cell_files
 from tdgbench.files import whole_file
 from tdgbench.packs import manifest
 from tdgbench.packs.manifest import Manifest, PackedFile, sha256
-from tdgbench.packs.private import private_paths
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file: the first time that a zip file can state
 TEXTS = (".json", ".csv")
 COMPRESSED = (*TEXTS, ".ply", ".pt")  # PNG is
+# What in a text tells whose machine it was made on. (Records state neither user nor host.)
+PATHS = re.compile(r"""(?<![\w/.:%-])(?:/|~/|[A-Za-z]:\\\\?)(?:[\w.+ -]+[/\\]+)+[\w.+-]+""")
 
 
 def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -> tuple[Path, str]:
@@ -29,29 +30,38 @@ def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -
     keep_paths: whether other absolute paths may stay. Raises ValueError, naming a file, if one has such a path or is no
     regular file, and if there are no records.
     """
-    contents = _contents(experiment)
-    for name, read in contents.items():
-        found = private_paths(read().decode()) if name.endswith(TEXTS) and not keep_paths else []
+    paths = _paths(experiment)
+    for name, file in paths.items():
+        found = private_paths(_read(file).decode()) if name.endswith(TEXTS) and not keep_paths else []
         if found:
             raise ValueError(
-                f"{experiment / name} holds {found[0]!r}, a path of this machine: run the cell again with relative "
+                f"{file} holds {found[0]!r}, a path of this machine: run the cell again with relative "
                 "paths (data.root=data), or pack with --keep-paths"
             )
-    files = {name: PackedFile(len(content := read()), sha256(content)) for name, read in contents.items()}
+    files = {name: PackedFile(len(content := _read(file)), sha256(content)) for name, file in paths.items()}
     text = Manifest(experiment.resolve().name, __version__, files).to_json()
     name = sha256(text)
     path = path or experiment.resolve().parent / f"{experiment.resolve().name}-{name[: manifest.SHOWN]}.zip"
     with whole_file(path) as part, zipfile.ZipFile(part, "w") as archive:
-        for entry, read in {manifest.FILE: lambda: text, **contents}.items():
+        for entry in (manifest.FILE, *paths):
             info = zipfile.ZipInfo(entry, EPOCH)
             info.external_attr, info.create_system = 0o100644 << 16, 3  # a regular file, on any system
             info.compress_type = zipfile.ZIP_DEFLATED if entry.endswith(COMPRESSED) else zipfile.ZIP_STORED
-            archive.writestr(info, read())
+            archive.writestr(info, text if entry == manifest.FILE else _read(paths[entry]))
     return path, name
 
 
-def _contents(experiment: Path) -> dict[str, Callable[[], bytes]]:
-    """Return what reads each file of a pack, by relative path. Raises ValueError without records."""
+def private_paths(text: str) -> list[str]:
+    """Return the absolute paths in a text, each once.
+
+    >>> private_paths('{"weights": "/home/ada/vgg.npz", "shape": "3/4", "url": "https://a.org/b/c"}')
+    ['/home/ada/vgg.npz']
+    """
+    return list(dict.fromkeys(PATHS.findall(text)))
+
+
+def _paths(experiment: Path) -> dict[str, Path]:
+    """Return the files of a pack, by relative path. Raises ValueError without records."""
     records = record_files(experiment)
     if not records:
         raise ValueError(f"{experiment} holds no records; run an experiment first")
@@ -63,21 +73,14 @@ def _contents(experiment: Path) -> dict[str, Callable[[], bytes]]:
             check_regular(path)
         except ValueError as error:
             raise ValueError(f"{path} cannot be packed: {error}") from error
-    return {
-        path.relative_to(experiment).as_posix(): _without_traceback(path) if path.name == FILE else path.read_bytes
-        for path in sorted(paths)
-    }
+    return {path.relative_to(experiment).as_posix(): path for path in sorted(paths)}
 
 
-def _without_traceback(path: Path) -> Callable[[], bytes]:
-    """Return what reads a record, without the traceback of a failure."""
-
-    def read() -> bytes:
-        text = path.read_bytes()
-        content = json.loads(text)
-        if not content.get("failure"):
-            return text
-        content["failure"]["traceback"] = ""
-        return (json.dumps(content, indent=1, sort_keys=True) + "\n").encode()
-
-    return read
+def _read(path: Path) -> bytes:
+    """Read a file of a pack; a record is without the traceback of a failure."""
+    text = path.read_bytes()
+    content = json.loads(text) if path.name == FILE else {}
+    if not content.get("failure"):
+        return text
+    content["failure"]["traceback"] = ""
+    return (json.dumps(content, indent=1, sort_keys=True) + "\n").encode()

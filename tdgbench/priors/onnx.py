@@ -57,7 +57,9 @@ class OnnxPrior:
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
         network, camera = self._network, view.camera
-        height, width = self._input_size(camera.height, camera.width)
+        goal = self.width or camera.width
+        height = network.height or to_multiple(camera.height * goal / camera.width, self.multiple)
+        width = network.width or to_multiple(goal, self.multiple)
         image = with_channels(resize(view.thermal, width, height), network.channels)
         if self.normalization == "imagenet":
             image = normalized(image)
@@ -78,12 +80,6 @@ class OnnxPrior:
             )
         full = resize(values.astype(np.float32)[..., None], camera.width, camera.height)[..., 0]
         return DepthPrior(full, self.kind)
-
-    def _input_size(self, height: int, width: int) -> tuple[int, int]:
-        """Return height and width of the network's input for an image of height × width."""
-        network, goal = self._network, self.width or width
-        open_height = to_multiple(height * goal / width, self.multiple)
-        return network.height or open_height, network.width or to_multiple(goal, self.multiple)
 
     @property
     def _path(self) -> Path:

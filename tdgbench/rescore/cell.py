@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
+from collections import ChainMap
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -105,17 +106,15 @@ def _rows(stored: StoredViews, scorer: Scorer, known: Known, todo: list[Metric])
     scene, scorer.missing = stored.scene(), {}
     by_pictures = [metric for metric in todo if isinstance(metric, ImageMetric)]
     by_model = [metric for metric in todo if not isinstance(metric, ImageMetric)]
-    found: dict[str, Row] = {name: {m: known.rows[name][m] for m in known.metrics} for name in stored.cameras}
+    found = [{name: {m: known.rows[name][m] for m in known.metrics} for name in stored.cameras}]
     if by_pictures:
-        scored = scorer.score(scene, {name: stored.rendered(name) for name in stored.cameras}, by_pictures)
-        found = {name: {**row, **scored[name]} for name, row in found.items()}
+        found.append(scorer.score(scene, {name: stored.rendered(name) for name in stored.cameras}, by_pictures))
     if by_model and stored.record.gaussians:
-        scored = scorer.score(scene, stored.rendered_again(), by_model)
-        found = {name: {**row, **scored[name]} for name, row in found.items()}
+        found.append(scorer.score(scene, stored.rendered_again(), by_model))
     elif by_model:
         scorer.missing |= {metric.name: NO_MODEL for metric in by_model}
-        found = {name: {**row, **dict.fromkeys([m.name for m in by_model])} for name, row in found.items()}
-    return {name: {metric: row[metric] for metric in METRICS} for name, row in found.items()}
+    rows = {name: ChainMap(*(scores[name] for scores in found)) for name in stored.cameras}
+    return {name: {metric: row.get(metric) for metric in METRICS} for name, row in rows.items()}
 
 
 def _write(folder: Path, target: Path, record: Record, rows: dict[str, Row]) -> None:

@@ -107,10 +107,7 @@ class RegisteredDataset(Outlines):
         return "\n".join(lines)
 
     def _registered(self, name: str) -> registry.RegisteredScene:
-        try:
-            scene = registry.registered(name)
-        except KeyError as error:
-            raise SceneError(error.args[0]) from error
+        scene = registry.registered(name)
         if self.dataset not in (None, scene.dataset):
             raise SceneError(
                 f"{scene.name} is a scene of {registry.DATASETS[scene.dataset]}: use dataset={scene.dataset}"

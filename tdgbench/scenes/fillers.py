@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
+from skimage.measure import block_reduce
 
 from tdgbench.scenes.temperature import PERCENTILES, TEMPERATURES, sampled
 
@@ -82,14 +83,8 @@ def grown(filled: np.ndarray, block: int = 1) -> np.ndarray:
     """
     if not filled.any():
         return filled
-    filled = ndimage.binary_dilation(filled, NEIGHBOURS)
-    if block == 1:
-        return filled
-    height, width = filled.shape
-    rows, columns = -(-height // block), -(-width // block)
-    padded = np.pad(filled, ((0, rows * block - height), (0, columns * block - width)))
-    touched = padded.reshape(rows, block, columns, block).any(axis=(1, 3))
-    return touched.repeat(block, axis=0).repeat(block, axis=1)[:height, :width]
+    touched = block_reduce(ndimage.binary_dilation(filled, NEIGHBOURS), block, np.any)
+    return touched.repeat(block, axis=0).repeat(block, axis=1)[: filled.shape[0], : filled.shape[1]]
 
 
 def impossible(degC: np.ndarray) -> np.ndarray:

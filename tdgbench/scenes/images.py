@@ -14,7 +14,7 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import read_bytes, regular_file
+from tdgbench.scenes.inputs import decoding, read_bytes, regular_file
 from tdgbench.scenes.temperature import TEMPERATURES, Radiometry
 from tdgbench.scenes.validate import MAX_PIXELS
 
@@ -40,22 +40,16 @@ def opened_image(path: Path, content: bytes | None = None) -> Iterator[Image.Ima
     Errors of decoding inside the context become SceneError, too. Pillow's warnings are silent there: they are of
     metadata, which nothing here reads, and of sizes that are refused. content: of the file, if it has been read.
     """
-    regular_file(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", module=r"PIL\.")
-            with Image.open(path if content is None else io.BytesIO(content), formats=FORMATS) as image:
-                if image.width * image.height > MAX_PIXELS:
-                    raise SceneError(
-                        f"{path} is {image.width}×{image.height} px; an image may have {MAX_PIXELS} pixels. Resize it"
-                    )
-                _check_one_picture(image, path)
-                yield image
-    except (SceneError, MemoryError):
-        raise
-    except Exception as error:  # Pillow's decoders raise many kinds
-        remedy = f"copy it again, or export it as {', '.join(FORMATS)}"
-        raise SceneError(f"{path} cannot be read as an image: {error}; {remedy}") from error
+    source = regular_file(path) if content is None else io.BytesIO(content)
+    remedy = f"copy it again, or export it as {', '.join(FORMATS)}"
+    with decoding(path, "an image", remedy), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module=r"PIL\.")
+        with Image.open(source, formats=FORMATS) as image:
+            if image.width * image.height > MAX_PIXELS:
+                size = f"{image.width}×{image.height}"
+                raise SceneError(f"{path} is {size} px; an image may have {MAX_PIXELS} pixels. Resize it")
+            _check_one_picture(image, path)
+            yield image
 
 
 def _check_one_picture(image: Image.Image, path: Path) -> None:
@@ -163,8 +157,8 @@ def nearest_valid(image: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
     return image[tuple(nearest)]
 
 
-def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Resample an image (H, W, C) to (height, width, C): area average to shrink, bilinear to grow.
+def resize(image: np.ndarray, width: int, height: int, method: Image.Resampling | None = None) -> np.ndarray:
+    """Resample an image (H, W, C) to (height, width, C): area average to shrink, bilinear to grow, or by a method.
 
     >>> resize(np.array([[[0.0], [1.0]], [[1.0], [2.0]]], np.float32), width=1, height=1)
     array([[[1.]]], dtype=float32)
@@ -172,6 +166,6 @@ def resize(image: np.ndarray, width: int, height: int) -> np.ndarray:
     if image.shape[:2] == (height, width):
         return image
     shrinks = width <= image.shape[1] and height <= image.shape[0]
-    method = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
+    method = method or (Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR)
     planes = [Image.fromarray(np.ascontiguousarray(image[..., c])) for c in range(image.shape[2])]
     return np.stack([np.asarray(plane.resize((width, height), method)) for plane in planes], axis=-1)

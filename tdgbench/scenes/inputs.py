@@ -9,6 +9,8 @@ import hashlib
 import json
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +37,8 @@ def regular_file(path: Path) -> Path:
     tdgbench.scenes.errors.SceneError: / is a folder, not a file; replace it by the file itself
     """
     utf8_name(path)
-    try:
+    with _in_words(path, "used"):
         kind = stat.S_IFMT(path.stat().st_mode)
-    except OSError as error:
-        raise SceneError(f"{path} cannot be used: {_reason(path, error)}") from error
     if kind != stat.S_IFREG:
         raise SceneError(f"{path} is {KINDS.get(kind, 'no file')}, not a file; replace it by the file itself")
     return path
@@ -51,26 +51,20 @@ def is_there(path: Path) -> bool:
 
 def is_folder(path: Path) -> bool:
     """Return whether a folder is at `path`. Raises SceneError if that cannot be told."""
-    try:
+    with _in_words(path, "used"):
         return path.is_dir()
-    except OSError as error:
-        raise SceneError(f"{path} cannot be used: {_reason(path, error)}") from error
 
 
 def listed(folder: Path) -> list[Path]:
     """List a folder, sorted by name. Raises SceneError if it cannot be listed."""
-    try:
+    with _in_words(folder, "listed"):
         return sorted(folder.iterdir())
-    except OSError as error:
-        raise SceneError(f"{folder} cannot be listed: {_reason(folder, error)}") from error
 
 
 def read_bytes(path: Path) -> bytes:
     """Read a regular file. Raises SceneError."""
-    try:
+    with _in_words(path, "read"):
         return regular_file(path).read_bytes()
-    except OSError as error:
-        raise SceneError(f"{path} cannot be read: {_reason(path, error)}") from error
 
 
 def read_json(path: Path) -> Any:
@@ -80,27 +74,32 @@ def read_json(path: Path) -> Any:
 
 def hash_of(path: Path) -> bytes:
     """Return SHA-256 of a regular file. Raises SceneError."""
-    try:
-        with regular_file(path).open("rb") as file:
-            return hashlib.file_digest(file, "sha256").digest()
-    except OSError as error:
-        raise SceneError(f"{path} cannot be read: {_reason(path, error)}") from error
+    with _in_words(path, "read"), regular_file(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").digest()
 
 
 def read_array(path: Path) -> np.ndarray:
     """Read real numbers from an .npy file. Raises SceneError, before memory is taken for a shape that cannot be."""
-    try:
+    with decoding(path, "an .npy array", "write it with numpy.save"):
         values = np.load(regular_file(path), mmap_mode="r", allow_pickle=False)
-    except (SceneError, MemoryError):
-        raise
-    except Exception as error:  # parsers of the header raise many kinds
-        raise SceneError(f"{path} cannot be read as an .npy array: {error}; write it with numpy.save") from error
     if not isinstance(values, np.memmap) or values.dtype.kind not in "fiu":
         what = str(values.dtype) if isinstance(values, np.ndarray) else type(values).__name__
         raise SceneError(f"{path} holds {what}; it must hold one array of real numbers")
     if path.stat().st_size != values.offset + values.nbytes:
         raise SceneError(f"{path} is longer than its array; it is damaged: write it again with numpy.save")
     return np.array(values)
+
+
+@contextmanager
+def decoding(path: Path, what: str, remedy: str) -> Iterator[None]:
+    """Turn the errors of a decoder, which are of many kinds, into SceneError: the file cannot be read as `what`."""
+    try:
+        yield
+    except (SceneError, MemoryError):
+        raise
+    except Exception as error:
+        reason = repr(error) if isinstance(error, LookupError) or not str(error) else error
+        raise SceneError(f"{path} cannot be read as {what}: {reason}; {remedy}") from error
 
 
 def utf8_name(path: Path) -> Path:
@@ -139,9 +138,15 @@ def is_hidden(name: str) -> bool:
     return name.startswith(".")
 
 
-def _reason(path: Path, error: OSError) -> str:
-    if isinstance(error, FileNotFoundError) and path.is_symlink():
-        return "it links to nothing; replace the link by the file"
-    if isinstance(error, PermissionError):
-        return "no permission to read it; change its permissions"
-    return error.strerror or str(error)
+@contextmanager
+def _in_words(path: Path, what: str) -> Iterator[None]:
+    """Turn an error of the system into SceneError: the path cannot be `used`, `listed` or `read`, and why."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        if isinstance(error, FileNotFoundError) and path.is_symlink():
+            reason = "it links to nothing; replace the link by the file"
+        elif isinstance(error, PermissionError):
+            reason = "no permission to read it; change its permissions"
+        raise SceneError(f"{path} cannot be {what}: {reason}") from error

@@ -20,7 +20,7 @@ from PIL import Image
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import COUNT_MODES, FLOAT_MODE, opened_image
-from tdgbench.scenes.inputs import read_bytes
+from tdgbench.scenes.inputs import decoding, read_bytes
 from tdgbench.scenes.temperature import TEMPERATURES, CountScale
 from tdgbench.scenes.validate import MAX_PIXELS
 
@@ -125,17 +125,10 @@ def read_thermogram(path: Path) -> Thermogram:
         )
     if maker is None:
         raise SceneError(f"{path} holds no temperatures: it has no FLIR segment; use the camera's original file")
-    try:
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
-            return _decode_flir(content, path)
-    except (SceneError, MemoryError):
-        raise
-    except Exception as error:  # decoders raise many kinds on damaged files
-        raise SceneError(
-            f"{path} cannot be read as a FLIR radiometric JPEG: {type(error).__name__}: {error}; "
-            "copy it again from the camera, or leave it out"
-        ) from error
+    remedy = "copy it again from the camera, or leave it out"
+    with decoding(path, "a FLIR radiometric JPEG", remedy), warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        return _decode_flir(content, path)
 
 
 def dji_counts(path: Path) -> np.ndarray | None:
@@ -213,15 +206,10 @@ def _raw_counts(stream: BinaryIO, record: tuple[int, int, int, int], path: Path)
             if image.size != (width, height):
                 raise ValueError(f"raw image of {image.size} px, stated as {(width, height)}")
             counts = np.asarray(image).astype(np.uint16)
-        return min((counts.byteswap(), counts), key=_roughness)
+        return min((counts.byteswap(), counts), key=lambda one: np.abs(np.diff(one.astype(np.int64), axis=1)).mean())
     if len(payload) < 2 * width * height:
         raise ValueError(f"{len(payload)} bytes for {width}×{height} raw counts")
     return np.frombuffer(payload, "<u2", width * height).reshape(height, width)
-
-
-def _roughness(counts: np.ndarray) -> float:
-    """Return the mean difference of horizontal neighbours."""
-    return float(np.abs(np.diff(counts.astype(np.int64), axis=1)).mean())
 
 
 def _as_rgb(photo: np.ndarray) -> np.ndarray:

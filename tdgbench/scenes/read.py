@@ -161,7 +161,7 @@ def _camera(posed: RegisteredImage, options: ReadOptions) -> Camera:
     if options.principal_point == "center":
         K = camera.K.copy()
         K[:2, 2] = camera.width / 2, camera.height / 2
-        camera = Camera(K, camera.world_to_camera, camera.width, camera.height)
+        camera = replace(camera, K=K)
     if options.width is None:
         return camera
     camera = camera.resized(options.width, max(1, round(camera.height * options.width / camera.width)))

@@ -73,7 +73,7 @@ SCENES = tuple(
 
 
 def registered(name: str) -> RegisteredScene:
-    """Find a scene by name or alias. Raises KeyError with all names.
+    """Find a scene by name or alias. Raises SceneError with all names.
 
     >>> registered("road_block").label, registered("Hands").name
     ('Road Block', 'Hand')
@@ -81,4 +81,4 @@ def registered(name: str) -> RegisteredScene:
     for scene in SCENES:
         if scene.matches(name):
             return scene
-    raise KeyError(f"{name!r} is not one of the paper's scenes: {', '.join(s.name for s in SCENES)}")
+    raise SceneError(f"{name!r} is not one of the paper's scenes: {', '.join(s.name for s in SCENES)}")

@@ -60,6 +60,13 @@ class Camera:
         return (z > 0) & (pixels >= 0).all(axis=1) & (pixels < [self.width, self.height]).all(axis=1)
 
 
+def pose_at(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Return world to camera (4, 4) of a camera at a position (3,) with a rotation (3, 3) from the world to it."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, -rotation @ position
+    return pose
+
+
 class Tracks(NamedTuple):
     """Which images see which points: a row per observation.
 

@@ -52,9 +52,9 @@ class WarpedPictures:
             return read_npy(path, self.radiometry.scale)
         image, before = self._gray(path), self.unwarped.get(path.stem)
         block = BLOCK if path.suffix.lower() in JPEG else 1
-        lowest = None if before is None else float(self._gray(before).min())
         filler = None
-        if lowest is not None:
+        if before is not None:
+            lowest = float(self._gray(before).min())
             if self.mask and lowest >= NOISE:
                 filler = filler_below(image, lowest, block)
             image = np.maximum(image, np.float32(lowest))

@@ -1,5 +1,1 @@
 """`tdgbench site PACK ... DIR`: static pages from packs, for any web host or to open from disk."""
-
-from tdgbench.site.command import main
-
-__all__ = ["main"]

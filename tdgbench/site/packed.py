@@ -40,7 +40,6 @@ class Pack:
 
     @property
     def page(self) -> str:
-        """Place of its page."""
         return f"packs/{self.sha256[: manifest.SHOWN]}.html"
 
     def mean_of(self, dataset: str) -> str:
@@ -66,7 +65,6 @@ class Row:
 
     @property
     def is_average(self) -> bool:
-        """Whether the row is of several scenes."""
         return self.scene in AVERAGES
 
 
@@ -114,9 +112,7 @@ def _read(path: Path, folder: Path, content: Manifest, sha256: str) -> Pack:
 def rows_of(pack: Pack) -> list[Row]:
     """Return the rows of a pack: scenes that a method's column has a finished cell of, and averages over several."""
     main = pack.tables.main
-    protocols = dict(
-        zip(zip(main["dataset"], main["scene"], main["method"], strict=True), main["protocol"], strict=True)
-    )
+    protocols = main.set_index(["dataset", "scene", "method"])["protocol"].to_dict()
     scenes = {(cell.record.dataset, cell.record.scene) for cell in pack.cells}
     several = {dataset for dataset, _ in scenes if sum(other == dataset for other, _ in scenes) > 1}
     rows = []

@@ -49,9 +49,8 @@ def cards_of(packs: Sequence[Pack], dataset: str, scene: str) -> list[list[Card]
             column, views = method_label(cell.record, with_init=True), _test_views(cell)
             if cell.dataset_and_scene == (dataset, scene) and (column, views) not in columns:
                 columns.add((column, views))
-                same = json.dumps(
-                    [column, [h for n, h in sorted(cell.record.hashes.items()) if n.startswith("renders/")]]
-                )
+                renders = [h for n, h in sorted(cell.record.hashes.items()) if n.startswith("renders/")]
+                same = json.dumps([column, renders])
                 card = sections.setdefault(views, {}).setdefault(same, Card(column, cell, []))
                 card.packs.append(pack)
     for section in sections.values():

@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 480, 260
 LEFT, RIGHT, TOP, BOTTOM = 40, 130, 12, 42  # margins, px; labels are on the right of points
 TICKS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000, 86400)  # s
 LONGEST = 20  # characters of a label
-TICK_WIDTH = 52  # px
+TICK_WIDTH, LABEL_HEIGHT = 52, 15  # px
 PSNR, TIME = COLUMNS.index("psnr"), COLUMNS.index(HOURS.name)
 
 
@@ -69,7 +69,7 @@ def _seconds(row: Row) -> float:
     return 0.0 if hours == "" else 3600 * float(hours)
 
 
-def _apart(heights: Sequence[float], gap: float = 15) -> list[float]:
+def _apart(heights: Sequence[float]) -> list[float]:
     """Return heights of labels (px) that do not overlap, near those of their points.
 
     >>> _apart([20, 21, 100])
@@ -77,5 +77,5 @@ def _apart(heights: Sequence[float], gap: float = 15) -> list[float]:
     """
     found, last = list(heights), -math.inf
     for index in sorted(range(len(heights)), key=lambda index: heights[index]):
-        found[index] = last = max(heights[index], last + gap)
+        found[index] = last = max(heights[index], last + LABEL_HEIGHT)
     return found

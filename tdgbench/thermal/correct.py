@@ -60,10 +60,10 @@ def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
             f"{camera.suffix}, which is 0 to 1 of the images that are trained on; scores are of the given range"
         )
     train = [view.with_thermal(_image((values[view.name] - low) / (high - low), view, scene)) for view in scene.train]
-    changed = replace(
-        scene, train=train, temperature=span, notes=[*scene.notes, *notes, *camera.notes],
-        fingerprint=_fingerprint(scene, camera),
-    )  # fmt: skip
+    parts = (array.tobytes() for array in (camera.offsets, camera.gains, camera.vignette))
+    fingerprint = scene.fingerprint_with(str(camera.reference).encode(), *parts)
+    notes = [*scene.notes, *notes, *camera.notes]
+    changed = replace(scene, train=train, temperature=span, notes=notes, fingerprint=fingerprint)
     return Corrected(changed, _response(camera, scale, zero, (low, high)))
 
 
@@ -83,11 +83,6 @@ def _range(values: list[np.ndarray]) -> tuple[float, float]:
     known = [array for array in values if array.size]
     low, high = min(float(array.min()) for array in known), max(float(array.max()) for array in known)
     return min(0.0, float(np.floor(1000 * low)) / 1000), max(1.0, float(np.ceil(1000 * high)) / 1000)
-
-
-def _fingerprint(scene: Scene, camera: ThermalCamera) -> str:
-    parts = (array.tobytes() for array in (camera.offsets, camera.gains, camera.vignette))
-    return scene.fingerprint_with(str(camera.reference).encode(), *parts)
 
 
 def _image(values: np.ndarray, view: View, scene: Scene) -> np.ndarray:

@@ -92,13 +92,24 @@ def _estimate(scene: Scene, seen: PointSamples) -> ThermalCamera:
         expected=expected,
         terms=tuple(name for name, used in terms._asdict().items() if used),
         undetermined=undetermined,
-        notes=tuple(_notes(train, counts, terms) + _unknown(undetermined, drift)),
+        notes=tuple(_notes(train, counts, terms, undetermined, drift)),
     )
 
 
-def _unknown(undetermined: int, drift: Drift | None) -> list[str]:
-    """Return notes on undetermined directions and on the drift."""
+def _notes(
+    train: Sequence[View], counts: np.ndarray, terms: Terms, undetermined: int, drift: Drift | None
+) -> list[str]:
+    """Return what is not corrected, not determined, and how offsets drift. counts: (V,) observations of each view."""
+    left_out = [name for name, used in terms._asdict().items() if not used]
     notes = []
+    if left_out:
+        notes.append(f"held-out views are predicted no better with {', '.join(left_out)}: not corrected")
+    few = [view.name for view, count in zip(train, counts, strict=True) if count == 0]
+    if few:
+        notes.append(
+            f"{len(few)} views see fewer than {FEWEST_OBSERVATIONS} points that others see; they keep gain 1 and "
+            f"the mean offset: {first_few(few)}"
+        )
     if undetermined:
         directions = "1 direction" if undetermined == 1 else f"{undetermined} directions"
         notes.append(
@@ -110,20 +121,5 @@ def _unknown(undetermined: int, drift: Drift | None) -> list[str]:
         notes.append(
             f"offsets change over {drift.length:g} views in the order of their names, by {1 - drift.jitter:.0%} of "
             f"their variance, with {events}; those of test views are expected from this"
-        )
-    return notes
-
-
-def _notes(train: Sequence[View], counts: np.ndarray, terms: Terms) -> list[str]:
-    """Return what is not corrected. counts: (V,) observations of each training view."""
-    left_out = [name for name, used in terms._asdict().items() if not used]
-    notes = []
-    if left_out:
-        notes.append(f"held-out views are predicted no better with {', '.join(left_out)}: not corrected")
-    few = [view.name for view, count in zip(train, counts, strict=True) if count == 0]
-    if few:
-        notes.append(
-            f"{len(few)} views see fewer than {FEWEST_OBSERVATIONS} points that others see; they keep gain 1 and "
-            f"the mean offset: {first_few(few)}"
         )
     return notes

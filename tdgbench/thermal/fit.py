@@ -75,7 +75,8 @@ def fit(data: PointSamples, terms: Terms, precision: np.ndarray) -> Fit:
     """Estimate the response. precision: (2 V + K, 2 V + K) of the prior of offsets, gains and coefficients."""
     reference = float(np.median(data.value))
     free = terms.free(data)
-    theta, temperatures = data.ideal, _means(data)
+    counts = np.bincount(data.point, None, data.points)
+    theta, temperatures = data.ideal, np.bincount(data.point, data.value, data.points) / np.maximum(counts, 1)
     residuals = data.value - temperatures[data.point]
     before = deviation(residuals)
     for round_ in range(ROUNDS):
@@ -168,11 +169,6 @@ class System:
         views = self.by_view.shape[1]
         moved = self.from_views @ step[:views] + self.from_terms @ step[views:]
         return (self.by_point @ residuals - moved) / self.curvature
-
-
-def _means(data: PointSamples) -> np.ndarray:
-    """Return the mean (P,) of the values of each point; 0 of points without values."""
-    return np.bincount(data.point, data.value, data.points) / np.maximum(np.bincount(data.point, None, data.points), 1)
 
 
 def deviation(residuals: np.ndarray) -> float:

@@ -59,7 +59,6 @@ class PointSamples:
 
     @property
     def views(self) -> int:
-        """Number of views."""
         return len(self.sizes)
 
     @cached_property

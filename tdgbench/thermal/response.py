@@ -37,7 +37,9 @@ class ImageResponse:
 
     def temperatures(self, render: np.ndarray) -> np.ndarray:
         """Return the image (H, W, C) float32 of a render by an ideal camera, not clipped."""
-        return render if (self.low, self.high) == (0.0, 1.0) else _float32(self.low + (self.high - self.low) * render)
+        if (self.low, self.high) == (0.0, 1.0):
+            return render
+        return np.asarray(self.low + (self.high - self.low) * render, np.float32)
 
     def of(self, render: np.ndarray, view: str) -> np.ndarray:
         """Return the image (H, W, C) float32 of a render of a view by this camera, not clipped."""
@@ -48,7 +50,7 @@ class ImageResponse:
         added = np.full(values.shape[:2], self.offsets.get(view, 0.0) + (1 - gain) * self.reference)
         if self.vignette:
             added += evaluate(np.array(self.vignette), *values.shape[1::-1])
-        return _float32(gain * values + added[..., None])
+        return np.asarray(gain * values + added[..., None], np.float32)
 
     @property
     def is_ideal(self) -> bool:
@@ -66,7 +68,3 @@ IDEAL = ImageResponse()
 def read_response(stated: Mapping[str, Any] | None) -> ImageResponse:
     """Return the response in a record, by default an ideal camera's. Raises ValueError for invalid fields."""
     return TypeAdapter(ImageResponse).validate_python({} if stated is None else stated)
-
-
-def _float32(values: np.ndarray) -> np.ndarray:
-    return np.asarray(values, np.float32)

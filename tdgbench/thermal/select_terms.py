@@ -163,7 +163,9 @@ def shrink_towards_ideal(data: PointSamples, fitted: Fit, terms: Terms, precisio
     kept = np.where(drawn > 0, place / np.maximum(drawn, MIN_VARIANCE), 0.0) * known / (known + 1)
     theta = data.ideal
     theta[free] += axes @ kept
-    temperatures = _temperatures(data, theta, fitted)
+    system = System(data, theta, fitted.temperatures, fitted.reference, fitted.weights)
+    residuals = data.value - predict(data, theta, fitted.temperatures, fitted.reference)
+    temperatures = fitted.temperatures + system.temperature_step(residuals, np.zeros(len(theta)))
     residuals = data.value - predict(data, theta, temperatures, fitted.reference)
     response = ViewResponses(theta[: data.views], theta[data.views : 2 * data.views])
     return replace(
@@ -180,10 +182,3 @@ def _change_without(
     rest, residuals = data.select(keep), fitted.residuals[keep]
     system = System(rest, theta, fitted.temperatures, fitted.reference, fitted.weights[keep])
     return system.solve(residuals, precision @ (data.ideal - theta), precision, free)
-
-
-def _temperatures(data: PointSamples, theta: np.ndarray, fitted: Fit) -> np.ndarray:
-    """Return temperatures (P,) that fit the values best, given the other parameters."""
-    system = System(data, theta, fitted.temperatures, fitted.reference, fitted.weights)
-    residuals = data.value - predict(data, theta, fitted.temperatures, fitted.reference)
-    return fitted.temperatures + system.temperature_step(residuals, np.zeros(len(theta)))

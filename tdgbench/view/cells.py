@@ -94,7 +94,14 @@ def open_cells(folders: Sequence[Path]) -> dict[str, ViewedCell]:
 
 def open_cell(folder: Path) -> ViewedCell:
     """Read a cell. Raises ValueError, naming the folder, if it is none, has failed, or was changed."""
-    record = _finished_record(folder)
+    record = read_record(folder)
+    if record is None:
+        state = "holds no record" if folder.is_dir() else "is no folder" if folder.exists() else "is not there"
+        cells = record_files(folder) if folder.is_dir() else []
+        example = f", such as {cells[0].parent}" if cells else f", which has a {FILE}"
+        raise ValueError(f"{folder} {state}; name the folder of a cell{example}")
+    if record.status != "ok":
+        raise ValueError(f"{folder} has no model: it {record.why_failed}")
     for problem in file_problems(folder, record.hashes):
         raise ValueError(f"{folder} is damaged: {problem}; run the cell again, or see tdgbench verify")
     try:
@@ -110,18 +117,6 @@ def open_cell(folder: Path) -> ViewedCell:
             lacking = "Gaussians: its renders are images, which the report shows"
         raise ValueError(f"{folder} cannot be shown: it lacks {lacking}")
     return ViewedCell(folder, record, models, cameras["train"], cameras["test"], method=method)
-
-
-def _finished_record(folder: Path) -> Record:
-    record = read_record(folder)
-    if record is None:
-        state = "holds no record" if folder.is_dir() else "is no folder" if folder.exists() else "is not there"
-        cells = record_files(folder) if folder.is_dir() else []
-        example = f", such as {cells[0].parent}" if cells else f", which has a {FILE}"
-        raise ValueError(f"{folder} {state}; name the folder of a cell{example}")
-    if record.status != "ok":
-        raise ValueError(f"{folder} has no model: it {record.why_failed}")
-    return record
 
 
 def short_names(records: Sequence[Record]) -> list[str]:

@@ -85,7 +85,6 @@ class Panel:
         self._add_views(gui)
 
     def look(self) -> Look:
-        """Return what is chosen to be shown."""
         low, high = self._span.value
         return Look(
             cell=self._cell.value,
@@ -98,7 +97,6 @@ class Panel:
         )
 
     def remove(self) -> None:
-        """Remove the controls."""
         for part in (self.readout, self._picture, self._stand):
             part.remove()
 

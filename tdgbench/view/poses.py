@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tdgbench.bench.colours import in_colour
 from tdgbench.scenes import Camera
+from tdgbench.scenes.scene import pose_at
 from tdgbench.view.cells import ViewedCell
 
 if TYPE_CHECKING:
@@ -38,10 +39,9 @@ def camera_of(pose: ViserPose, width: int, height: int) -> Camera:
     (array([10., 10.,  1.]), (array([[20., 10.]]), array([2.])))
     """
     rotation = Rotation.from_quat(np.roll(pose.wxyz, -1)).as_matrix().T
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3], world_to_camera[:3, 3] = rotation, -rotation @ pose.position
     focal = height / 2 / np.tan(pose.fov / 2)
-    return Camera(np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]]), world_to_camera, width, height)
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    return Camera(K, pose_at(pose.position, rotation), width, height)
 
 
 def pose_of(camera: Camera, aspect: float) -> ViserPose:
@@ -94,7 +94,7 @@ class Frustums:
         thumbnails: Mapping[str, np.ndarray],
         on_click: Callable[[str], None],
     ) -> None:
-        self._root = scene.add_frame(ROOT, show_axes=False)
+        self.root = scene.add_frame(ROOT, show_axes=False)  # of all cameras
         size = size_of(cell)
         self._handles = {}
         for number, (view, camera) in enumerate(cell.cameras.items()):
@@ -109,12 +109,7 @@ class Frustums:
             self._handles[view] = handle
 
     def show(self, visible: bool) -> None:
-        """Show or hide all cameras."""
-        self._root.visible = visible
-
-    def remove(self) -> None:
-        """Remove all cameras."""
-        self._root.remove()
+        self.root.visible = visible
 
     def leave_out(self, view: str) -> None:
         """Hide the camera that the viewer stands at, whose picture would cover everything."""

@@ -70,7 +70,6 @@ class Viewer:
                 session.begin(self._shown)
 
     def close(self) -> None:
-        """End the rendering thread."""
         self._requests.close()
         self._worker.join()
         self._ended.set()

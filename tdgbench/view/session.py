@@ -62,7 +62,7 @@ class Session:
             self._frustums = Frustums(self.client.scene, self._first, shown.thumbnails, self.go_to)
             self.panel.cameras.on_update(lambda _: self._frustums.show(self.panel.cameras.value))
             self._parts.callback(self.panel.remove)
-            self._parts.callback(self._frustums.remove)
+            self._parts.callback(self._frustums.root.remove)
             self.go_to(self._view)
             self.refresh()
 
@@ -76,23 +76,20 @@ class Session:
         with self._turn:
             if view != self._view:
                 self._left = self._view
-            self._go_to(view)
-
-    def _go_to(self, view: str) -> None:
-        camera = self.client.camera
-        pose = pose_of(self._first.cameras[view], camera.aspect)
-        forward = self._first.cameras[view].world_to_camera[2, :3]
-        distance = float(forward @ (self._focus - pose.position))
-        with self.client.atomic():
-            camera.fov = pose.fov
-            camera.position = pose.position
-            camera.wxyz = pose.wxyz
-            if distance > 0:  # else the distance to the orbit's centre stays
-                camera.look_at = pose.position + distance * forward
-        self._view, self._aspect = view, camera.aspect
-        self.panel.show_view(view)
-        self._frustums.leave_out(view)
-        self._requests.moved(self.client.client_id, self._wanted())
+            camera = self.client.camera
+            pose = pose_of(self._first.cameras[view], camera.aspect)
+            forward = self._first.cameras[view].world_to_camera[2, :3]
+            distance = float(forward @ (self._focus - pose.position))
+            with self.client.atomic():
+                camera.fov = pose.fov
+                camera.position = pose.position
+                camera.wxyz = pose.wxyz
+                if distance > 0:  # else the distance to the orbit's centre stays
+                    camera.look_at = pose.position + distance * forward
+            self._view, self._aspect = view, camera.aspect
+            self.panel.show_view(view)
+            self._frustums.leave_out(view)
+            self._requests.moved(self.client.client_id, self._wanted())
 
     def read_at(self, x: float, y: float) -> None:
         """Show the values at a place of the picture; x and y are shares of its width and height."""
@@ -101,7 +98,6 @@ class Session:
             self.panel.show_value(readout(self._frame.at(x, y), self._cells, self._frame.look.quantity))
 
     def show(self, frame: RenderedLook, is_fine: bool) -> None:
-        """Send a picture to the browser."""
         send = self.client.scene.set_background_image
         send(frame.picture, "png" if is_fine else "jpeg", jpeg_quality=JPEG_QUALITY)
         self.client.flush()
@@ -119,7 +115,7 @@ class Session:
                     self._aspect = camera.aspect
                     camera.fov = pose_of(self._first.cameras[self._view], camera.aspect).fov
             elif self._stands_at(self._left):  # viser sends no pose that the page has last reported, even if outdated
-                self._go_to(self._view)
+                self.go_to(self._view)
         self._requests.moved(self.client.client_id, self._wanted())
 
     def _stands_at(self, view: str) -> bool:
@@ -128,7 +124,6 @@ class Session:
         return bool(away < STANDS_AT * np.linalg.norm(self._focus - center))
 
     def refresh(self) -> None:
-        """Render anew."""
         self._requests.changed(self.client.client_id, self._wanted())
 
     def _wanted(self) -> Wanted:

@@ -20,8 +20,7 @@ from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.scores import read_views
 from tdgbench.packs import pack
 from tdgbench.rescore import cell as rescore_cell
-from tdgbench.rescore import main
-from tdgbench.rescore.command import read_options
+from tdgbench.rescore.command import main, read_options
 from tdgbench.scoring import METRICS, RenderedImages, Scorer
 from tdgbench.scoring.metric import ImageMetric, ViewMetric
 from tdgbench.verify import verify

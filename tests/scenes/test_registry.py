@@ -1,5 +1,6 @@
 import pytest
 
+from tdgbench.scenes import SceneError
 from tdgbench.scenes.registry import DATASETS, GROUPS, SCENES, registered
 from tdgbench.tables.published import published_main
 
@@ -20,5 +21,5 @@ def test_aliases(tmp_path):
     (tmp_path / "Hands").mkdir()
     assert registered("Hand").find(tmp_path) == tmp_path / "Hands"
     assert registered("Face").find(tmp_path) is None
-    with pytest.raises(KeyError, match="not one of the paper's scenes"):
+    with pytest.raises(SceneError, match="not one of the paper's scenes"):
         registered("Panel")

@@ -13,7 +13,7 @@ from PIL import Image
 from tdgbench.bench.record import read_all
 from tdgbench.bench.stored import hashes
 from tdgbench.packs import pack
-from tdgbench.site import main
+from tdgbench.site.command import main
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import COLUMNS, as_text
 from tdgbench.tables.published import published_main

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tdgbench.scenes import SceneError
 from tdgbench.scenes.registry import DATASETS, registered
 from tdgbench.tables.build import difference
 from tdgbench.tables.long_table import with_averages, with_bold
@@ -92,7 +93,7 @@ def test_scenes_of_others_have_our_names():
     for scene in set(table["scene"]) - not_in_the_paper:
         assert registered(scene).name == scene
     for scene in not_in_the_paper:
-        with pytest.raises(KeyError):
+        with pytest.raises(SceneError):
             registered(scene)
 
 

@@ -21,7 +21,6 @@ COLORS = {"ok": "green", "missing": "yellow", "broken": "red"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `tdgbench data check`."""
     parser.add_argument("root", type=Path, metavar="DIR", help="data.root: of the paper's data sets, or of scenes")
     parser.add_argument("--json", action="store_true", help="print JSON (keys: docs/data.md)")
     parser.add_argument("--split", choices=SPLITS, default=SPLITS[0], help="as data.split")

@@ -95,16 +95,15 @@ def check_scenes(place: Place, begin: Callable[[str], None]) -> Iterator[SceneCh
         check = SceneCheck(name, described.dataset)
         if name in missing:
             check.status = "missing"
-            check.problems.append(_where_from(name, place.root) if place.is_paper else "it is not there")
+            remedy = ""
+            if place.is_paper:
+                key = registry.registered(name).dataset
+                remedy = f": tdgbench data get {key} {place.root} (or {registry.PUBLISHED_AT[key]})"
+            check.problems.append(f"not there{remedy}")
         else:
             begin(name)
             _examine(place.dataset, check)
         yield check
-
-
-def _where_from(name: str, root: Path) -> str:
-    key = registry.registered(name).dataset
-    return f"not there: tdgbench data get {key} {root} (or {registry.PUBLISHED_AT[key]})"
 
 
 def _examine(dataset: Dataset, check: SceneCheck) -> None:

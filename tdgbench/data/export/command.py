@@ -17,7 +17,6 @@ from tdgbench.text import one_line
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `tdgbench data export`."""
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder, in any layout")
     parser.add_argument("out", type=Path, metavar="OUT", help="folder to write, which must not exist")
     parser.add_argument("--format", choices=FORMATS, required=True, help="of the readers: docs/data.md")

@@ -216,9 +216,7 @@ def _write_json(path: Path, content: object) -> None:
 
 def _write_ply(path: Path, points: PointCloud) -> None:
     kinds = [*((axis, "f8") for axis in "xyz"), *((channel, "u1") for channel in ("red", "green", "blue"))]
-    rows = np.empty(len(points.points), kinds)
-    for number, (name, _) in enumerate(kinds):
-        rows[name] = points.points[:, number] if number < 3 else np.round(points.colors[:, number - 3] * 255)
+    rows = np.rec.fromarrays([*points.points.T, *np.round(points.colors.T * 255)], kinds)
     PlyData([PlyElement.describe(rows, "vertex")]).write(path)
 
 

@@ -14,7 +14,6 @@ from tdgbench.text import one_line
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `tdgbench data get`."""
     parser.add_argument("dataset", choices=SOURCES, help="data set")
     parser.add_argument("root", type=Path, metavar="DIR", help="folder of all data sets, as data.root")
     parser.add_argument("--scene", action="append", default=[], metavar="NAME", help="only this scene; may be repeated")

@@ -117,7 +117,9 @@ def packages_of(
         if archive is None:
             others.append(file.path)
         else:
-            packages.append(Package(str(file.path), (file,), scene_of_archive(source, archive), is_archive=True))
+            is_whole = plain_name(archive).startswith(plain_name(source.folder))  # of the data set, not of one scene
+            scene = None if is_whole else source.scene(archive)
+            packages.append(Package(str(file.path), (file,), scene, is_archive=True))
     wanted = [source.scene(scene) for scene in scenes]
     published = {package.scene.lower() for package in packages if package.scene}
     unknown = [scene for scene in wanted if scene.lower() not in published]
@@ -185,16 +187,6 @@ def by_scene(
             raise BadFileError(f"{where} holds two scenes {name}: {scenes[name]} and {root}; unpack it by hand")
         scenes[name] = root
     return scenes
-
-
-def scene_of_archive(source: PublishedDataset, stem: str) -> str | None:
-    """Return the scene that an archive is named after; None for an archive of the whole data set.
-
-    >>> from tdgbench.data.get.sources import SOURCES
-    >>> [scene_of_archive(SOURCES["thermalmix"], stem) for stem in ("lion", "panel", "ThermalMix_v2")]
-    ['Lion', 'panel', None]
-    """
-    return None if plain_name(stem).startswith(plain_name(source.folder)) else source.scene(stem)
 
 
 def reason_of(error: BaseException) -> str:

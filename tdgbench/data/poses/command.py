@@ -14,7 +14,6 @@ from tdgbench.terminal import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of `tdgbench data poses`."""
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder, in any layout")
     parser.add_argument("reference", type=Path, metavar="REFERENCE", help=READ)
 

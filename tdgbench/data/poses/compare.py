@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pycolmap
 from scipy.spatial.distance import pdist
+from scipy.spatial.transform import Rotation
 
 from tdgbench.scenes.errors import SceneError
 
@@ -41,10 +42,8 @@ def compare(poses: dict[str, np.ndarray], reference: dict[str, np.ndarray]) -> C
     ours, theirs = (np.stack([one[name] for name in views]) for one in (poses, reference))
     source, target = (-np.einsum("nji,nj->ni", one[:, :3, :3], one[:, :3, 3]) for one in (ours, theirs))
     similarity, errors, fitted = _fit(source, target)
-    # the angle from sine and cosine: arccos alone loses small angles
     relative = ours[:, :3, :3] @ similarity.rotation.matrix().T @ theirs[:, :3, :3].transpose(0, 2, 1)
-    sine = np.linalg.norm(relative - relative.transpose(0, 2, 1), axis=(1, 2)) / np.sqrt(8)
-    rotation = np.degrees(np.arctan2(sine, (np.trace(relative, axis1=1, axis2=2) - 1) / 2))
+    rotation = np.degrees(Rotation.from_matrix(relative).magnitude())
     along, across, _ = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
     extent = float(pdist(target).max())
     known = rotation if across > THINNEST * along else None

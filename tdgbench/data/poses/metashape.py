@@ -18,7 +18,8 @@ import numpy as np
 
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import read_bytes
+from tdgbench.scenes.inputs import decoding, read_bytes
+from tdgbench.scenes.scene import pose_at
 
 MOST_BYTES = 2**28  # of a document inside an archive
 TABLE = "# PhotoID, X, Y, Z, Omega, Phi, Kappa, r11, r12, r13, r21, r22, r23, r31, r32, r33"
@@ -28,15 +29,13 @@ BEYOND_OPENCV = ("k4", "p3", "p4", "b2")  # coefficients without an equal in Ope
 def read_xml(path: Path) -> Element:
     """Read a file of XML, or the doc.xml of a chunk.zip in a project's folder. Raises SceneError."""
     content = read_bytes(path)
-    try:
+    with decoding(path, "Metashape's XML", "export it again"):
         if path.suffix.lower() == ".zip":
             with zipfile.ZipFile(io.BytesIO(content)) as archive:
                 if archive.getinfo("doc.xml").file_size > MOST_BYTES:
                     raise ValueError(f"its doc.xml has more than {MOST_BYTES} bytes")
                 content = archive.read("doc.xml")
         return ElementTree.fromstring(content)
-    except Exception as error:  # readers of archives raise many kinds
-        raise SceneError(f"{path} cannot be read as Metashape's XML: {error}; export it again") from error
 
 
 def chunk_poses(root: Element, path: Path) -> dict[str, np.ndarray]:
@@ -54,7 +53,7 @@ def chunk_poses(root: Element, path: Path) -> dict[str, np.ndarray]:
         if label in poses:
             raise SceneError(f"{path} has two cameras labelled {label}; export the cameras of one sensor alone")
         to_world = _numbers(camera.findtext("transform", "").split(), 16, f"{path}: camera {label}").reshape(4, 4)
-        poses[label] = _pose(to_world[:3, :3].T, to_world[:3, 3])
+        poses[label] = pose_at(to_world[:3, 3], to_world[:3, :3].T)
     return poses
 
 
@@ -71,25 +70,24 @@ def table_poses(path: Path) -> dict[str, np.ndarray]:
         if line.strip() and not line.startswith("#"):
             name, *words = line.split("\t")
             values = _numbers(words, 15, f"{path}: photo {name}")
-            poses[name] = _pose(np.diag([1.0, -1.0, -1.0]) @ values[6:].reshape(3, 3), values[:3])
+            poses[name] = pose_at(values[:3], np.diag([1.0, -1.0, -1.0]) @ values[6:].reshape(3, 3))
     return poses
 
 
 def lenses(root: Element, path: Path) -> list[CameraEntry]:
     """Return the camera of a lens file, or those of all sensors of a document. Raises SceneError."""
-    sensors = [_calibration(sensor) for sensor in root.iter("sensor")]
-    blocks = [root] if root.tag == "calibration" else [block for block in sensors if block is not None]
-    return [_camera(_values(block, path), path) for block in blocks]
+    blocks = [root] if root.tag == "calibration" else []
+    for sensor in root.iter("sensor"):
+        by_class = {block.get("class"): block for block in sensor.findall("calibration")}
+        blocks += [by_class[name] for name in ("adjusted", "initial") if name in by_class][:1]
+    return [_camera(block, path) for block in blocks]
 
 
-def _calibration(sensor: Element) -> Element | None:
-    """Return a sensor's calibration, adjusted rather than initial; None if it has none."""
-    blocks = {block.get("class"): block for block in sensor.findall("calibration")}
-    return blocks.get("adjusted", blocks.get("initial"))
+def _camera(block: Element, path: Path) -> CameraEntry:
+    """Return a calibration as COLMAP's FULL_OPENCV; coefficients that it leaves out are 0.
 
-
-def _values(block: Element, path: Path) -> dict[str, float]:
-    """Return the numbers of a calibration by name; coefficients that it leaves out are 0. Raises SceneError."""
+    Raises SceneError for what that model cannot say.
+    """
     size = block.find("resolution")
     texts = {one.tag: one.text or "" for one in block} | ({} if size is None else size.attrib)
     if block.get("type", texts.get("projection")) != "frame":
@@ -98,11 +96,6 @@ def _values(block: Element, path: Path) -> dict[str, float]:
     for name in ("f", "width", "height", *values):
         if name in texts or name not in values:
             values[name] = float(_numbers([texts.get(name, "")], 1, f"{path}: {name} of the calibration")[0])
-    return values
-
-
-def _camera(values: dict[str, float], path: Path) -> CameraEntry:
-    """Return a calibration as COLMAP's FULL_OPENCV. Raises SceneError for what that model cannot say."""
     beyond = [name for name in BEYOND_OPENCV if values[name] != 0]
     if beyond:
         raise SceneError(f"{path} has the coefficients {', '.join(beyond)}; optimise the cameras again without them")
@@ -110,13 +103,6 @@ def _camera(values: dict[str, float], path: Path) -> CameraEntry:
     centre = width / 2 + values["cx"], height / 2 + values["cy"]
     distortion = *(values[name] for name in ("k1", "k2", "p2", "p1", "k3")), 0.0, 0.0, 0.0
     return CameraEntry(1, "FULL_OPENCV", width, height, (f + values["b1"], f, *centre, *distortion))
-
-
-def _pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Return world to camera (4, 4) of a camera's rotation (3, 3) from the world and its position (3,)."""
-    pose = np.eye(4)
-    pose[:3] = np.column_stack([rotation, -rotation @ position])
-    return pose
 
 
 def _numbers(words: list[str], count: int, where: str) -> np.ndarray:

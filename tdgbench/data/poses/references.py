@@ -15,7 +15,7 @@ from tdgbench.scenes.colmap import RegisteredImage, read_model
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
-from tdgbench.scenes.inputs import is_folder, is_there, read_json, regular_file
+from tdgbench.scenes.inputs import decoding, is_folder, is_there, read_json, regular_file
 from tdgbench.scenes.layouts import detect
 from tdgbench.scenes.layouts.transforms import read_points, read_transforms, where_they_are
 from tdgbench.scenes.validate import check_pose
@@ -80,16 +80,12 @@ def _lens(image: RegisteredImage) -> CameraEntry:
 
 def _read_json(path: Path) -> Reference:
     """Read a transforms.json with the points that it names, or the largest model of OpenSfM's reconstruction.json."""
-    try:
+    with decoding(path, "a reconstruction.json of OpenSfM, or a transforms.json", "export it again"):
         content = read_json(path)
         if isinstance(content, dict):
             return _of_transforms(path)
         model = max(content, key=lambda one: len(one["shots"]))
         return Reference(shot_poses(model), lambda: shot_lenses(model), model_points(model))
-    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
-        raise SceneError(
-            f"{path} is no reconstruction.json of OpenSfM or transforms.json: {error!r}; export it again"
-        ) from error
 
 
 def _of_transforms(path: Path) -> Reference:

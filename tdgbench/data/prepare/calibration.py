@@ -50,11 +50,9 @@ def checked_lenses(found: Iterable[CameraEntry], path: Path) -> tuple[CameraEntr
         raise SceneError(f"{path} holds no calibration; give one of Metashape, OpenCV or COLMAP (docs/data.md)")
     for camera in found:
         to_pinhole(camera, f"{path}: the calibration")
-    is_simple = [camera.model == "FULL_OPENCV" and not any(camera.params[8:]) for camera in found]
-    return tuple(
-        camera._replace(model="OPENCV", params=camera.params[:8]) if simple else camera
-        for camera, simple in zip(found, is_simple, strict=True)
-    )
+    full = [camera for camera in found if camera.model == "FULL_OPENCV" and not any(camera.params[8:])]
+    simple = {camera: camera._replace(model="OPENCV", params=camera.params[:8]) for camera in full}
+    return tuple(simple.get(camera, camera) for camera in found)
 
 
 def start_camera(

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
+from skimage.exposure import equalize_adapthist
 
 from tdgbench.data.prepare.places import GPS, read_gps
 from tdgbench.data.prepare.report import FileReport, Report
@@ -30,6 +31,8 @@ from tdgbench.scenes.radiometric import (
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
 
 JPEG = (".jpg", ".jpeg")
+TAILS = 0.5, 99.5  # percentiles of a thermal image that become black and white in its picture for COLMAP
+CLIP_LIMIT = 0.02  # of CLAHE, as a share of a tile's pixels
 
 
 class Kind(NamedTuple):
@@ -177,6 +180,25 @@ def read_thermal(path: Path, scale: CountScale) -> ViewContent:
         thermogram = read_thermogram(path)
         return ViewContent(thermogram.celsius, None, None, _in_words(thermogram.settings))
     return ViewContent(read_celsius(path, scale), None, None, _tlinear(path, scale))
+
+
+def write_pictures(capture: Capture) -> None:
+    """Write a gray picture of each thermal image for COLMAP, in which it finds features; for captures without RGB."""
+    with step("pictures to write", len(capture.names)) as count:
+        for index, (view, name) in enumerate(capture.names.items()):
+            Image.fromarray(picture(capture.thermal(view))).save(capture.folder / name)
+            count(index + 1)
+
+
+def picture(thermal: np.ndarray) -> np.ndarray:
+    """Return gray levels (H, W) uint8 of a thermal image (H, W) or (H, W, C): its own range, then CLAHE.
+
+    Invalid pixels (NaN) become black.
+    """
+    gray = thermal if thermal.ndim == 2 else thermal.mean(axis=2)
+    low, high = np.nanpercentile(gray, TAILS)
+    stretched = np.nan_to_num(np.clip((gray - low) / max(high - low, 1e-12), 0, 1))
+    return np.round(255 * equalize_adapthist(stretched, clip_limit=CLIP_LIMIT)).astype(np.uint8)
 
 
 def holds_celsius(path: Path, scale: CountScale) -> bool:

@@ -26,9 +26,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--pairs", nargs=2, metavar=("THERMAL", "RGB"), help="names of files, * is the view: '*_T.tiff' '*_V.jpg'")
     add("--degC-per-count", type=_number, metavar="A", help="of 16-bit or DJI's counts: degC = counts × A + B")
     add("--degC-at-zero", type=_number, default=0.0, metavar="B")
-    add("--mapping", nargs=3, type=_number, metavar=("RATIO", "X", "Y"),
+    place = parser.add_mutually_exclusive_group().add_argument
+    place("--mapping", nargs=3, type=_number, metavar=("RATIO", "X", "Y"),
         help="thermal covers 1/RATIO of the RGB width, X, Y px off")  # fmt: skip
-    add("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
+    place("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
     add("--sfm", choices=("rgb", "thermal"), default="rgb", help="images that COLMAP sees; thermal needs no RGB images")
     add("--poses", type=Path, metavar="FILE", help="of these images, by another program (docs/data.md)")
     add("--focal", type=_number, metavar="PX", help="focal length of these images; default: estimated")
@@ -54,8 +55,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _options(arguments: argparse.Namespace) -> PrepareOptions:
     """Return the options of a preparation. Raises SceneError for options that contradict each other."""
-    if arguments.mapping is not None and arguments.homography is not None:
-        raise SceneError("--mapping and --homography both say where the thermal image lies; give one of them")
     if arguments.degC_per_count == 0:
         raise SceneError("--degC-per-count is 0; it must be the °C of one count")
     if arguments.focal is not None and arguments.focal <= 0:

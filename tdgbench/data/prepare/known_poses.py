@@ -15,20 +15,11 @@ from tdgbench.data.prepare.calibration import start_camera
 from tdgbench.data.prepare.capture import Capture
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Size
-from tdgbench.data.prepare.sfm import (
-    FEWEST_IMAGES,
-    KINDS,
-    SfmOptions,
-    Structure,
-    cloud,
-    counts,
-    matched,
-    pipeline,
-    quiet,
-)
+from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, cloud, counts, matched, pipeline, quiet
 from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
 from tdgbench.scenes import PointCloud, SceneError
+from tdgbench.scenes.modalities import LABELS
 
 FAR = 100  # × the cameras' extent: an origin that float32 coordinates cannot afford, as of maps
 
@@ -91,7 +82,7 @@ def structure_of(known: KnownPoses, images: Path, size: Size, stages: Stages, op
         place = stages.make("points", inputs, lambda place: _triangulate(database, images, place, known, options))
         model = pycolmap.Reconstruction(place)
     points = cloud(model)
-    notes = [f"points are triangulated of matches of {KINDS[options.images]} images at these poses"]
+    notes = [f"points are triangulated of matches of {LABELS[options.images]} images at these poses"]
     if not len(points.points):
         notes = ["there are no points, as no matches fit the poses: train with init=mvs_thermal or init=random"]
     (camera,) = model.cameras.values()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,8 +15,7 @@ from pydantic import ConfigDict, TypeAdapter
 from tdgbench.data.new_folder import new_folder
 from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare.calibration import checked_lenses, exif_focal
-from tdgbench.data.prepare.capture import JPEG, Capture, Kind, read_capture, too_few
-from tdgbench.data.prepare.contrast import write_pictures
+from tdgbench.data.prepare.capture import JPEG, Capture, Kind, read_capture, too_few, write_pictures
 from tdgbench.data.prepare.known_poses import known_poses, structure_of
 from tdgbench.data.prepare.places import coordinates
 from tdgbench.data.prepare.report import Report
@@ -60,7 +60,7 @@ def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
         report = _prepare(folder, part, stages, options, Report(str(folder), str(out)))
         (part / "report.txt").write_text(report.text(), encoding="utf-8")
         (part / "report.json").write_text(report.json(), encoding="utf-8")
-    stages.remove()
+    shutil.rmtree(stages.folder, ignore_errors=True)
     return report
 
 
@@ -80,8 +80,11 @@ def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, 
         report.assumptions.append("images are not undistorted, without a model: run COLMAP on rgb/, into sparse/0")
     report.size = grid.size
     _write_views(part, capture, grid, mapping, own, report)
-    if not capture.kind.is_celsius:
-        _write_known_range(folder, part, report)
+    radiometry = None if capture.kind.is_celsius else read_radiometry(folder / FILE)
+    if radiometry is not None:
+        low, high = report.temperature = radiometry.range.min, radiometry.range.max
+        content = json.dumps({"unit": "degC", "min": low, "max": high})
+        (part / FILE).write_text(f"{content}\n", encoding="utf-8")
     if structure is not None:
         views = [one.view for one in report.files if one.status == "written"]
         cameras = [(f"{view}.png", grid.camera(structure.poses[capture.names[view]])) for view in views]
@@ -212,33 +215,23 @@ def _write_views(
             count(index + 1)
 
 
-def _write_known_range(folder: Path, part: Path, report: Report) -> None:
-    """Write temperature.json of shown images whose folder has one, and report it."""
-    radiometry = read_radiometry(folder / FILE)
-    if radiometry is not None:
-        span = report.temperature = radiometry.range.min, radiometry.range.max
-        content = json.dumps({"unit": "degC", "min": span[0], "max": span[1]})
-        (part / FILE).write_text(f"{content}\n", encoding="utf-8")
-
-
 def write_view(folder: Path, name: str, rgb: np.ndarray | None, thermal: np.ndarray, valid: np.ndarray) -> None:
     """Write the images of a view, and a mask where a pixel is invalid: 255 for measured pixels, else 0.
 
     rgb: (H, W, 3) in [0, 1], or None. thermal: (H, W) °C, written as float TIFF; or (H, W, C) in [0, 1], as 16-bit gray
     or 8-bit colour PNG. valid: (H, W) bool.
     """
-    images = {"rgb": None if rgb is None else Image.fromarray(np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8))}
-    if thermal.ndim == 3:
-        is_gray = thermal.shape[2] == 1
-        levels = np.round(np.clip(thermal, 0, 1) * (65535 if is_gray else 255))
-        images["thermal"] = Image.fromarray(levels[..., 0].astype(np.uint16) if is_gray else levels.astype(np.uint8))
-    if not valid.all():
-        images["masks"] = Image.fromarray(valid.astype(np.uint8) * 255)
-    for kind, image in images.items():
-        if image is not None:
-            (folder / kind).mkdir(exist_ok=True)
-            image.save(folder / kind / f"{name}.png")
+    files = {}
+    if rgb is not None:
+        files[f"rgb/{name}.png"] = np.round(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
     if thermal.ndim == 2:
-        (folder / "thermal").mkdir(exist_ok=True)
-        tiff = folder / "thermal" / f"{name}.tiff"
-        Image.fromarray(thermal.astype(np.float32)).save(tiff, compression="tiff_deflate")
+        files[f"thermal/{name}.tiff"] = thermal.astype(np.float32)
+    elif thermal.shape[2] == 1:
+        files[f"thermal/{name}.png"] = np.round(np.clip(thermal[..., 0], 0, 1) * 65535).astype(np.uint16)
+    else:
+        files[f"thermal/{name}.png"] = np.round(np.clip(thermal, 0, 1) * 255).astype(np.uint8)
+    if not valid.all():
+        files[f"masks/{name}.png"] = valid.astype(np.uint8) * 255
+    for place, pixels in files.items():
+        (folder / place).parent.mkdir(exist_ok=True)
+        Image.fromarray(pixels).save(folder / place, compression="tiff_deflate")  # which PNG ignores

@@ -51,21 +51,7 @@ class Report:
 
     def text(self) -> str:
         """Return the report in lines. Files without a problem are counted, others are listed."""
-        lines = [f"{self.source} -> {self.out}", *self._facts(), "", "assumed:"]
-        lines += [f"  {text}" for text in self.assumptions]
-        lines += ["", f"{self.count('written')} of {len(self.files)} views are in the scene"]
-        lines += [f"  {f.status}: {f.file}: {f.reason}" for f in self.files if f.status != "written"]
-        partly = [f for f in self.files if f.status == "written" and f.invalid > 0]
-        if partly:
-            most = max(partly, key=lambda f: f.invalid)
-            lines.append(
-                f"  {len(partly)} views have pixels without a measured value, {100 * most.invalid:.1f} % in "
-                f"{most.view}: see masks/"
-            )
-        return "\n".join(lines) + "\n"
-
-    def _facts(self) -> list[str]:
-        lines = []
+        lines = [f"{self.source} -> {self.out}"]
         sizes = {"RGB": self.rgb_size, "thermal": self.thermal_size, "output": self.size}
         if self.size:
             named = (f"{name} {size[0]}×{size[1]} px" for name, size in sizes.items() if size)
@@ -78,4 +64,14 @@ class Report:
             poses = f"COLMAP registers {self.models[0]} images" if self.models else "known poses"
             error = "" if self.error_px is None else f"{self.error_px:.2f} px, "
             lines.append(f"  {poses}: {self.points} points, {error}{self.camera}{others}")
-        return lines
+        lines += ["", "assumed:", *(f"  {text}" for text in self.assumptions)]
+        lines += ["", f"{self.count('written')} of {len(self.files)} views are in the scene"]
+        lines += [f"  {f.status}: {f.file}: {f.reason}" for f in self.files if f.status != "written"]
+        partly = [f for f in self.files if f.status == "written" and f.invalid > 0]
+        if partly:
+            most = max(partly, key=lambda f: f.invalid)
+            lines.append(
+                f"  {len(partly)} views have pixels without a measured value, {100 * most.invalid:.1f} % in "
+                f"{most.view}: see masks/"
+            )
+        return "\n".join(lines) + "\n"

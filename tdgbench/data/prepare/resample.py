@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates
 
 from tdgbench.scenes import Camera, SceneError
 from tdgbench.scenes.colmap import Undistortion
-from tdgbench.scenes.images import nearest_valid
+from tdgbench.scenes.images import nearest_valid, resize
 from tdgbench.scenes.inputs import read_bytes
 from tdgbench.scenes.radiometric import PhotoMapping
 
@@ -39,6 +39,11 @@ class Mapping:
         points = np.einsum("ij,j...->i...", self.thermal_from_rgb, np.stack([x, y, np.ones_like(x)]))
         with np.errstate(divide="ignore", invalid="ignore"):
             return points[0] / points[2], points[1] / points[2]
+
+    def indices(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return rows and columns in the thermal image of rows and columns in the RGB image (pixel indices)."""
+        x, y = self.apply(columns + 0.5, rows + 0.5)
+        return y - 0.5, x - 0.5
 
 
 def same_view(rgb: Size, thermal: Size) -> Mapping:
@@ -120,8 +125,11 @@ class Grid:
         return Camera(self.K, world_to_camera, *self.size)
 
     def rgb(self, image: np.ndarray) -> np.ndarray:
-        """Return an RGB image (h, w, 3) on the grid: undistorted and cropped at its own resolution, then averaged."""
-        return _averaged(self.crop.apply(image).astype(np.float32), self.size)
+        """Return an RGB image (h, w, 3) on the grid: undistorted and cropped at its own resolution, then averaged.
+
+        A box filter of whole pixels would move edges by up to half a pixel.
+        """
+        return resize(self.crop.apply(image).astype(np.float32), *self.size, Image.Resampling.HAMMING)
 
     def thermal(self, image: np.ndarray, mapping: Mapping) -> tuple[np.ndarray, np.ndarray]:
         """Return a thermal image (h, w) or (h, w, C) on the grid, bilinear, and which pixels (H, W) are measured.
@@ -129,7 +137,7 @@ class Grid:
         Others, beyond the thermal image or beside an invalid pixel, take the value of the nearest measured one.
         """
         planes = image[:, :, None] if image.ndim == 2 else image
-        places = _thermal_positions((self.rows, self.columns), mapping)
+        places = mapping.indices(self.rows, self.columns)
         sampled = np.stack([_bilinear(planes[..., c], *places) for c in range(planes.shape[2])], axis=2)
         valid = np.isfinite(sampled).all(axis=2)
         if not valid.all():
@@ -145,13 +153,13 @@ def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size) -> Grid:
     thermal image lies outside of the RGB image.
     """
     whole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), source)
-    positions = Undistortion(source, whole, "the RGB camera").positions
-    rows, columns = _thermal_positions(positions, mapping)
+    rows, columns = mapping.indices(*Undistortion(source, whole, "the RGB camera").positions)
     inside = (rows > -0.5) & (rows < thermal[1] - 0.5) & (columns > -0.5) & (columns < thermal[0] - 0.5)
     top, bottom, left, right = _box(inside)
     if min(bottom - top, right - left) < SMALLEST:
         raise SceneError(f"the thermal image lies outside of the RGB image: {mapping.assumption}; correct the mapping")
-    crop = _cropped(whole, left, top, right - left, bottom - top)
+    K, sides = whole.calibration_matrix(), {"width": right - left, "height": bottom - top}
+    crop = pycolmap.Camera(model="PINHOLE", params=[K[0, 0], K[1, 1], K[0, 2] - left, K[1, 2] - top], **sides)
     density = _density(rows[top:bottom, left:right], columns[top:bottom, left:right])
     width = round(min(1.0, density) * crop.width)
     height = round(crop.height * width / crop.width)
@@ -171,21 +179,6 @@ def no_distortion(rgb: Size) -> pycolmap.Camera:
     """Return a camera that leaves images as they are, for captures without a model."""
     width, height = rgb
     return pycolmap.Camera(model="PINHOLE", width=width, height=height, params=[width, width, width / 2, height / 2])
-
-
-def _averaged(image: np.ndarray, size: Size) -> np.ndarray:
-    """Return image (h, w, C) at a smaller size. A box filter of whole pixels would move edges by up to half a pixel."""
-    if size == image.shape[1::-1]:
-        return image
-    planes = [Image.fromarray(np.ascontiguousarray(image[..., c])) for c in range(image.shape[2])]
-    return np.stack([np.asarray(plane.resize(size, Image.Resampling.HAMMING)) for plane in planes], axis=-1)
-
-
-def _thermal_positions(rgb_positions: tuple[np.ndarray, np.ndarray], mapping: Mapping) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and columns in the thermal image of rows and columns in the RGB image (pixel indices)."""
-    rows, columns = rgb_positions
-    x, y = mapping.apply(columns + 0.5, rows + 0.5)
-    return y - 0.5, x - 0.5
 
 
 def _box(inside: np.ndarray) -> tuple[int, int, int, int]:
@@ -208,13 +201,6 @@ def _density(rows: np.ndarray, columns: np.ndarray) -> float:
     """Return thermal pixels per RGB pixel along a side, from their positions in the thermal image."""
     (down_rows, right_rows), (down_columns, right_columns) = np.gradient(rows), np.gradient(columns)
     return float(np.sqrt(np.median(np.abs(right_columns * down_rows - right_rows * down_columns))))
-
-
-def _cropped(camera: pycolmap.Camera, left: int, top: int, width: int, height: int) -> pycolmap.Camera:
-    K = camera.calibration_matrix()
-    return pycolmap.Camera(
-        model="PINHOLE", width=width, height=height, params=[K[0, 0], K[1, 1], K[0, 2] - left, K[1, 2] - top]
-    )  # fmt: skip
 
 
 def _bilinear(plane: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from tdgbench.data.progress import step
 from tdgbench.scenes import PointCloud, SceneError
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.inputs import listed
+from tdgbench.scenes.modalities import LABELS
 
 CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
 Matching = Literal["exhaustive", "sequential", "nearest"]
@@ -30,7 +31,6 @@ LARGE = 10  # images of a model whose focal length must agree with others, as of
 MOST_APART = 2  # times, of these focal lengths
 FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
-KINDS = {"rgb": "RGB", "thermal": "thermal"}  # of images, in words
 PAIRS_AT_A_TIME = 64  # between two steps of the progress
 DATABASE = "database.db"
 
@@ -96,7 +96,8 @@ def reconstruct(
             best = pycolmap.Reconstruction(refined)
     if positions is not None:
         notes.append(to_metres(best, dict(zip(names, positions, strict=True)), options.seed))
-    poses = {image.name: _pose(image) for image in best.images.values() if image.has_pose}
+    posed = [image for image in best.images.values() if image.has_pose]
+    poses = {image.name: np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]) for image in posed}
     (lens,) = {image.camera_id: best.cameras[image.camera_id] for image in best.images.values()}.values()
     error, sizes[0] = best.compute_mean_reprojection_error(), best.num_reg_images()
     return Structure(lens, poses, cloud(best), error, sizes, keypoints, matches, notes)
@@ -256,16 +257,10 @@ def _no_model(names: list[str], features: Counter[str], matches: Counter[str], s
     counts, verified = [features[name] for name in names], [matches[name] for name in names]
     found = f"models of {', '.join(map(str, sizes))} images" if sizes else "no model"
     return (
-        f"COLMAP finds {found} in {len(names)} {KINDS[images]} images, and a scene needs one of {FEWEST_IMAGES}: the "
+        f"COLMAP finds {found} in {len(names)} {LABELS[images]} images, and a scene needs one of {FEWEST_IMAGES}: the "
         f"images have {min(counts)} to {max(counts)} features and {min(verified)} to {max(verified)} verified matches "
         "each. Take more pictures that overlap by two thirds, from moving positions, of something with texture"
     )
-
-
-def _pose(image: pycolmap.Image) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3] = image.cam_from_world().matrix()
-    return pose
 
 
 def cloud(model: pycolmap.Reconstruction) -> PointCloud:

@@ -52,7 +52,12 @@ def find_sources(folder: Path, pairs: tuple[str, str] | None = None, thermal_alo
     else:
         sources = _by_content(folder / "raw_images" if is_folder(folder / "raw_images") else folder)
     if not sources.views:
-        raise SceneError(_nothing_found(folder, pairs, sources))
+        reasons = "; ".join(f"{path.name}: {reason}" for path, reason in list(sources.left_out.items())[:2])
+        remedy = f"it must hold radiometric JPEG of FLIR, or files of equal names, or be told names as by {EXAMPLE}"
+        if pairs is not None:
+            remedy = f"{pairs[0]!r} and {pairs[1]!r} must match files of equal view names"
+        what = "no pair of thermal and RGB images" + (f" ({reasons})" if reasons else "")
+        raise SceneError(f"{folder} holds {what}; {remedy}")
     return sources
 
 
@@ -117,11 +122,3 @@ def _may_hold_photo(path: Path) -> bool:
         return path.suffix.lower() in (".jpg", ".jpeg") and is_radiometric(path)
     except SceneError:
         return False
-
-
-def _nothing_found(folder: Path, pairs: tuple[str, str] | None, sources: Sources) -> str:
-    reasons = "; ".join(f"{path.name}: {reason}" for path, reason in list(sources.left_out.items())[:2])
-    what = f"{folder} holds no pair of thermal and RGB images" + (f" ({reasons})" if reasons else "")
-    if pairs is not None:
-        return f"{what}; {pairs[0]!r} and {pairs[1]!r} must match files of equal view names"
-    return f"{what}; it must hold radiometric JPEG of FLIR, or files of equal names, or be told names as by {EXAMPLE}"

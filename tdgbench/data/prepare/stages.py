@@ -31,7 +31,3 @@ class Stages:
             with whole_folder(place) as part:
                 write(part)
         return place
-
-    def remove(self) -> None:
-        """Remove all results."""
-        shutil.rmtree(self.folder, ignore_errors=True)

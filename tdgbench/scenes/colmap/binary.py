@@ -12,13 +12,7 @@ from struct import error as StructError
 
 import numpy as np
 
-from tdgbench.scenes.colmap.tables import (
-    CameraEntry,
-    DamagedModelError,
-    ImageEntry,
-    Points,
-    camera_models,
-)
+from tdgbench.scenes.colmap.tables import CameraEntry, DamagedModelError, ImageEntry, Points, camera_models
 from tdgbench.scenes.inputs import read_bytes
 
 COUNT = Struct("<Q")

@@ -47,9 +47,10 @@ class ReadModel(NamedTuple):
 
 def read_model(folder: Path) -> ReadModel:
     """Read and check a model, binary or text. Raises SceneError naming the file and the remedy."""
-    suffix = next((s for s in FORMATS if all(is_there(folder / (name + s)) for name in NEEDED)), None)
-    if suffix is None:
-        raise SceneError(f"{folder} is not a COLMAP model: {_missing(folder)}; {REMEDY}")
+    lacking = {s: [name + s for name in NEEDED if not is_there(folder / (name + s))] for s in FORMATS}
+    suffix = min(FORMATS, key=lambda s: len(lacking[s]))
+    if lacking[suffix]:
+        raise SceneError(f"{folder} is not a COLMAP model: it has no {', '.join(lacking[suffix])}; {REMEDY}")
     reader = FORMATS[suffix]
     cameras_file, images_file, points_file = (folder / (name + suffix) for name in NEEDED)
     rows = reader.read_cameras(cameras_file)
@@ -86,9 +87,8 @@ def _pose(image: ImageEntry, path: Path) -> np.ndarray:
         raise DamagedModelError(path, f"the quaternion of image {image.name!r} has length {norm:.6g}; it must be 1")
     if abs(norm - 1) > ROUNDING:  # pycolmap takes a quaternion of another length as it is
         quaternion /= norm
-    pose = np.eye(4)
-    pose[:3] = pycolmap.Rigid3d(pycolmap.Rotation3d(quaternion), np.array(image.translation)).matrix()
-    return pose
+    pose = pycolmap.Rigid3d(pycolmap.Rotation3d(quaternion), np.array(image.translation))
+    return np.vstack([pose.matrix(), [0, 0, 0, 1]])
 
 
 def _cloud(points: Points, names: dict[int, str], path: Path) -> PointCloud | None:
@@ -114,13 +114,6 @@ def _cloud(points: Points, names: dict[int, str], path: Path) -> PointCloud | No
         place[order] = np.arange(len(order))
         tracks = Tracks(np.repeat(place, points.lengths), points.images, names)
     return PointCloud(xyz, points.colors[order].astype(np.float32) / np.float32(255), tracks)
-
-
-def _missing(folder: Path) -> str:
-    """Return which files the most complete format lacks."""
-    lacking = {s: [name + s for name in NEEDED if not is_there(folder / (name + s))] for s in FORMATS}
-    names = min(lacking.values(), key=len)
-    return f"it has no {', '.join(names)}"
 
 
 def write_model(folder: Path, views: list[tuple[str, Camera]], points: PointCloud, observations: int = 0) -> None:

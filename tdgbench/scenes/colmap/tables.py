@@ -61,9 +61,6 @@ def camera_models() -> dict[int, tuple[str, int]]:
     >>> camera_models()[1]
     ('PINHOLE', 4)
     """
-    known = {int(model): name for name, model in pycolmap.CameraModelId.__members__.items() if int(model) >= 0}
-    sizes = {
-        number: len(pycolmap.Camera.create_from_model_id(1, pycolmap.CameraModelId(number), 1.0, 8, 8).params)
-        for number in known
-    }
-    return {number: (name, sizes[number]) for number, name in known.items()}
+    models = [model for model in pycolmap.CameraModelId.__members__.values() if int(model) >= 0]
+    cameras = [pycolmap.Camera.create_from_model_id(1, model, 1.0, 8, 8) for model in models]
+    return {int(model): (model.name, len(camera.params)) for model, camera in zip(models, cameras, strict=True)}

@@ -16,6 +16,7 @@ from tdgbench.scenes.colmap.tables import REMEDY, CameraEntry, DamagedModelError
 from tdgbench.scenes.inputs import read_bytes
 
 NEWLINE = b"\n"
+COMMENT = ("", "#")  # first characters of lines that are no rows
 HEADER = b"# Number of "  # COLMAP's, not that of other writers
 COUNTED = re.compile(HEADER + rb"\w+: (\d{1,18})\b")
 HEADER_SIZE = 1000  # bytes at a file's beginning that hold it
@@ -61,22 +62,18 @@ def _numbers(words: list[str], kind: Callable[[str], float] = float) -> list:
     return list(map(kind, words))
 
 
-def _is_row(text: str) -> bool:
-    """Return whether a line is neither empty nor a comment."""
-    return bool(text.strip()) and not text.lstrip().startswith("#")
-
-
 def read_cameras(path: Path) -> list[CameraEntry]:
     """Read the rows of cameras.txt. Raises SceneError."""
     sizes, cameras = dict(camera_models().values()), []
     for number, text in enumerate(_text_lines(path), start=1):
-        if _is_row(text):
-            with _naming(path, number, "camera"):
-                camera_id, model, width, height, *params = text.split()
-                if len(params) != sizes.get(model):
-                    raise ValueError(f"{model} with {len(params)} parameters is no camera model")
-                size = _numbers([camera_id, width, height], int)
-                cameras.append(CameraEntry(size[0], model, size[1], size[2], tuple(_numbers(params))))
+        if text.lstrip()[:1] in COMMENT:
+            continue
+        with _naming(path, number, "camera"):
+            camera_id, model, width, height, *params = text.split()
+            if len(params) != sizes.get(model):
+                raise ValueError(f"{model} with {len(params)} parameters is no camera model")
+            size = _numbers([camera_id, width, height], int)
+            cameras.append(CameraEntry(size[0], model, size[1], size[2], tuple(_numbers(params))))
     _complete(path, cameras)
     return cameras
 
@@ -86,7 +83,7 @@ def read_images(path: Path) -> list[ImageEntry]:
     images = []
     lines = enumerate(_text_lines(path), start=1)
     for number, text in lines:
-        if not _is_row(text):
+        if text.lstrip()[:1] in COMMENT:
             continue
         with _naming(path, number, "image"):
             image_id, qw, qx, qy, qz, x, y, z, camera_id, name = text.split(maxsplit=9)

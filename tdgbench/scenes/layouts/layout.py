@@ -20,8 +20,8 @@ class SceneFiles:
 
     posed: dict[str, RegisteredImage]
     points: PointCloud | None
-    thermal: dict[str, Path]
-    rgb: dict[str, Path]
+    thermal: dict[str, Path] = field(default_factory=dict)
+    rgb: dict[str, Path] = field(default_factory=dict)
     shipped: dict[str, str] = field(default_factory=dict)  # `train` or `test`
     radiometry: Radiometry | None = None  # of 8- and 16-bit images
     in_celsius: bool = False  # thermal files are arrays (H, W) or (H, W, 1) of °C, or gray images of a known range
@@ -42,18 +42,11 @@ class Layout:
     published: Callable[[str], TemperatureRange | None] = lambda name: None  # °C of gray images, by a scene's name
 
 
-@dataclass(frozen=True)
-class Model:
-    """A COLMAP model in the folder of a scene, and the scene's temperature.json."""
+def find_model(folder: Path, places: Iterable[str], title: str) -> SceneFiles:
+    """Read the COLMAP model in the first of `places` that is there, and temperature.json. Raises SceneError.
 
-    posed: dict[str, RegisteredImage]
-    points: PointCloud | None
-    radiometry: Radiometry | None
-    files: list[Path]
-
-
-def find_model(folder: Path, places: Iterable[str], title: str) -> Model:
-    """Read the COLMAP model in the first of `places` that is there, and temperature.json. Raises SceneError."""
+    Returns what is known by these; images are to be added.
+    """
     place = model_folder(folder, places)
     if place is None:
         first = next(iter(places))
@@ -62,7 +55,7 @@ def find_model(folder: Path, places: Iterable[str], title: str) -> Model:
         )
     posed, points = read_model(place)
     files = [*(path for path in listed(place) if path.is_file()), *([folder / FILE] if is_there(folder / FILE) else [])]
-    return Model(posed, points, read_radiometry(folder / FILE), files)
+    return SceneFiles(posed, points, radiometry=read_radiometry(folder / FILE), files=files)
 
 
 def model_folder(folder: Path, places: Iterable[str]) -> Path | None:

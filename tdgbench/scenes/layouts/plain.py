@@ -11,6 +11,7 @@ TI-NSD of Thermal3D-GS: thermal images alone, in the plain layout of 3DGS. Its p
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -25,14 +26,11 @@ MODELS = ("sparse/0", "sparse", "colmap/sparse/0")
 def _find(folder: Path, images: str, rgb: str | None = None) -> SceneFiles:
     """Find what is in a scene. images, rgb: names of the folders of thermal and RGB images."""
     layout = TI_NSD if rgb is None else RGBT_SCENES
-    if not is_folder(folder / images):
-        raise SceneError(f"{folder} has no {images}/ folder; the layout is {layout.looks}")
     thermal, shipped = find_files(folder / images)
     if not thermal:
         raise SceneError(f"{folder / images} holds no image; put one of each view there ({', '.join(SUFFIXES)})")
     photos = {} if rgb is None else find_optional(folder / rgb, "RGB images")
-    model = find_model(folder, MODELS, layout.title)
-    return SceneFiles(model.posed, model.points, thermal, photos, shipped, model.radiometry, files=model.files)
+    return replace(find_model(folder, MODELS, layout.title), thermal=thermal, rgb=photos, shipped=shipped)
 
 
 RGBT_SCENES = Layout(

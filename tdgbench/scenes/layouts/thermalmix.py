@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
@@ -46,18 +47,12 @@ def published_range(name: str) -> TemperatureRange | None:
     >>> published_range("Hands")
     TemperatureRange(min=22.1, max=33.6)
     """
-    with suppress(KeyError):  # of a scene that is not of Table 1
+    with suppress(SceneError):  # of a scene that is not of Table 1
         name = registered(name).name
     return PUBLISHED.get(name.lower())
 
 
-def _fits(folder: Path) -> bool:
-    return is_folder(folder / WARPED)
-
-
 def _find(folder: Path) -> SceneFiles:
-    if not _fits(folder):
-        raise SceneError(f"{folder} has no {WARPED}/ folder; the layout is {LAYOUT.looks}")
     arrays, shipped = find_files(folder / WARPED, (".npy",))
     pictures, placed = find_files(folder / WARPED, PICTURES, but=arrays)
     if not arrays and not pictures:
@@ -71,17 +66,10 @@ def _find(folder: Path) -> SceneFiles:
         unwarped = {name: path for name, path in originals.items() if name in pictures}
     photos = _rgb_folder(folder)
     model = find_model(folder, MODELS, TITLE)
-    return SceneFiles(
-        model.posed,
-        model.points,
-        {**pictures, **arrays},
-        {} if photos is None else find_files(photos)[0],
-        {**placed, **shipped},
-        model.radiometry,
-        in_celsius=True,
-        files=[*model.files, *unwarped.values()],
-        unwarped=unwarped,
-    )
+    return replace(
+        model, thermal={**pictures, **arrays}, rgb={} if photos is None else find_files(photos)[0],
+        shipped={**placed, **shipped}, in_celsius=True, files=[*model.files, *unwarped.values()], unwarped=unwarped,
+    )  # fmt: skip
 
 
 def _rgb_folder(folder: Path) -> Path | None:
@@ -96,7 +84,7 @@ LAYOUT = Layout(
     TITLE,
     f"{WARPED}/<view>.jpg (gray) with {UNWARPED}/<view>.jpg, or {WARPED}/<view>.npy (°C), rgb/ or images/, "
     "colmap_sparse/0, sparse/0 or colmap/sparse/0 (COLMAP)",
-    _fits,
+    lambda folder: is_folder(folder / WARPED),
     _find,
     published_range,
 )

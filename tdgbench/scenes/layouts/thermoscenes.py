@@ -15,7 +15,7 @@ from typing import Any
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
-from tdgbench.scenes.inputs import is_folder, is_there, regular_file
+from tdgbench.scenes.inputs import is_there, regular_file
 from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_optional, model_folder
 from tdgbench.scenes.layouts.transforms import Transforms, read_points, read_transforms, where_they_are
 from tdgbench.scenes.temperature import BOUNDS_FILE, BOUNDS_KEYS, FILE, read_radiometry
@@ -54,8 +54,6 @@ def _find(folder: Path) -> SceneFiles:
     notes = [] if bounds else [f"there is no {BOUNDS_FILE}, so no temperature of image values is known"]
     ply = folder / (content.points or POINTS)
     points = None
-    if is_folder(ply):
-        raise SceneError(f"{path} names the points {ply}, which is a folder. Correct ply_file_path")
     if is_there(ply):
         poses = [frame.posed.camera for frame in content.frames.values()]
         points, moved = where_they_are(read_points(ply), content.applied_transform, poses)
@@ -86,13 +84,8 @@ def _shipped(content: Transforms, path: Path) -> dict[str, str]:
         if unknown:
             raise SceneError(f"{path} lists {unknown[0]} in its split, but has no such frame. Correct the list")
         return {name: part for part, names in parts.items() for name in names}
-    shipped = {}
-    for name in content.frames:
-        if "train" in name:
-            shipped[name] = "train"
-        elif "eval" in name:
-            shipped[name] = "test"
-    return shipped
+    named = [name for name in content.frames if "train" in name or "eval" in name]
+    return {name: "train" if "train" in name else "test" for name in named}
 
 
 LAYOUT = Layout(

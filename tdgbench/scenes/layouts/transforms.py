@@ -21,14 +21,15 @@ from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.colmap.pinhole import to_pinhole
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import check_view_name, read_bytes, read_json
-from tdgbench.scenes.scene import Camera, PointCloud
+from tdgbench.scenes.inputs import check_view_name, decoding, read_bytes, read_json
+from tdgbench.scenes.scene import Camera, PointCloud, pose_at
 from tdgbench.scenes.validate import MAX_COORDINATE, check_camera, check_pose
 from tdgbench.text import shortened
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])  # axes of a camera
 FISHEYE = "OPENCV_FISHEYE"
 SPLITS = ("train", "val", "test")
+CameraModel = Literal["PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"]
 M = TypeVar("M", bound=BaseModel)
 HEADER_SIZE = 2**16  # bytes that hold it
 SMALLEST_ROW = 6  # bytes of a point: three digits and the spaces between them
@@ -106,17 +107,13 @@ class _Intrinsics(BaseModel):
     k4: FiniteFloat = 0.0
     p1: FiniteFloat = 0.0
     p2: FiniteFloat = 0.0
-    camera_model: Literal["PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"] | None = (
-        None
-    )
+    camera_model: CameraModel | None = None
 
 
 def read_transforms(path: Path) -> Transforms:
     """Read a transforms.json. Raises SceneError naming the frame and the remedy."""
-    try:
+    with decoding(path, "JSON", "copy or download it again"):
         content = read_json(path)
-    except (ValueError, RecursionError) as error:
-        raise SceneError(f"{path} is no JSON: {error}; copy or download it again") from error
     file = _parsed(_File, content, str(path))
     cameras = {}
     frames: dict[str, TransformsFrame] = {}
@@ -131,7 +128,10 @@ def read_transforms(path: Path) -> Transforms:
         if entry not in cameras:
             cameras[entry] = to_pinhole(entry, where)
         pinhole, undistortion = cameras[entry]
-        camera = Camera(pinhole.K, _pose(frame.transform_matrix, where), pinhole.width, pinhole.height)
+        to_world = frame.transform_matrix
+        check_pose(to_world, where)
+        pose = pose_at(to_world[:3, 3], (to_world[:3, :3] @ OPENGL_TO_OPENCV).T)
+        camera = Camera(pinhole.K, pose, pinhole.width, pinhole.height)
         posed = RegisteredImage(name, check_camera(camera, where), undistortion)
         frames[name] = TransformsFrame(posed, frame.file_path, frame.thermal_file_path)
     lists = {split: getattr(file, f"{split}_filenames") for split in SPLITS}
@@ -167,19 +167,9 @@ def _camera_entry(camera: _Intrinsics, where: str) -> CameraEntry:
     return CameraEntry(1, model, camera.w, camera.h, (camera.fl_x, camera.fl_y, camera.cx, camera.cy, *distortion))
 
 
-def _pose(to_world: np.ndarray, where: str) -> np.ndarray:
-    """Return world to camera (4, 4) in OpenCV's axes."""
-    check_pose(to_world, where)
-    rotation = to_world[:3, :3] @ OPENGL_TO_OPENCV
-    pose = np.eye(4)
-    pose[:3, :3] = rotation.T
-    pose[:3, 3] = -rotation.T @ to_world[:3, 3]
-    return pose
-
-
 def read_points(path: Path) -> PointCloud:
     """Read vertices of a PLY file with x, y, z and, where it has them, red, green, blue. Raises SceneError."""
-    try:
+    with decoding(path, "a point cloud", REMEDY):
         data = read_bytes(path)
         counts = re.findall(rb"\nelement \w+ (\d{1,18})\s", data[:HEADER_SIZE].partition(b"end_header")[0])
         if not counts or sum(map(int, counts)) * SMALLEST_ROW > len(data):
@@ -193,10 +183,6 @@ def read_points(path: Path) -> PointCloud:
             channels = [np.asarray(vertex[channel]) for channel in ("red", "green", "blue")]
             scale = 255 if all(channel.dtype.kind in "iu" for channel in channels) else 1
             colors = np.stack(channels, axis=-1).astype(np.float32) / np.float32(scale)
-    except (SceneError, MemoryError):
-        raise
-    except Exception as error:  # plyfile raises many kinds
-        raise SceneError(f"{path} cannot be read as a point cloud: {error}; {REMEDY}") from error
     if not (np.abs(xyz) <= MAX_COORDINATE).all() or not ((colors >= 0) & (colors <= 1)).all():  # NaN included
         raise SceneError(f"{path} has points or colours that are not finite, or beyond {MAX_COORDINATE:g}; {REMEDY}")
     return PointCloud(xyz, colors)

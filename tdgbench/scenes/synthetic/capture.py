@@ -12,7 +12,7 @@ Datasheet 500-0659-00-09, automatic FFC). A capture of a house: offsets of −4.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.scene import Camera
+from tdgbench.scenes.scene import Camera, pose_at
 
 NOISE_DEGC = 0.05  # noise-equivalent temperature difference of an uncooled camera
 STREAM = 16  # of random numbers, so that errors do not change a scene's other draws
@@ -175,9 +175,7 @@ class TrueRig:
 
     def camera(self, given: Camera) -> Camera:
         """Return the thermal camera beside a given one, without its distortion."""
-        move = np.eye(4)
-        move[:3, :3] = Rotation.from_rotvec(self.degrees, degrees=True).as_matrix()
-        move[:3, 3] = -move[:3, :3] @ self.offset
+        move = pose_at(np.array(self.offset), Rotation.from_rotvec(self.degrees, degrees=True).as_matrix())
         K = given.K.copy()
         K[[0, 1], [0, 1]] *= self.focal
         K[:2, 2] += given.width * np.array(self.center)
@@ -242,12 +240,11 @@ class CaptureErrors:
         """Return the cameras as the scene's files give them; the true ones if there are no pose errors."""
         if self.pose_degrees == 0 and self.pose_units == 0:
             return cameras
-        rng = np.random.default_rng([seed, STREAM, 1])
-        return [self._misplaced(camera, rng.normal(size=(2, 3))) for camera in cameras]
-
-    def _misplaced(self, camera: Camera, errors: np.ndarray) -> Camera:
-        """Return the camera, turned and displaced by errors (2, 3) in standard deviations."""
-        error = np.eye(4)
-        error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * errors[0], degrees=True).as_matrix()
-        error[:3, 3] = self.pose_units * errors[1]
-        return Camera(camera.K, error @ camera.world_to_camera, camera.width, camera.height)
+        rng, given = np.random.default_rng([seed, STREAM, 1]), []
+        for camera in cameras:
+            turn, move = rng.normal(size=(2, 3))
+            error = np.eye(4)
+            error[:3, :3] = Rotation.from_rotvec(self.pose_degrees * turn, degrees=True).as_matrix()
+            error[:3, 3] = self.pose_units * move
+            given.append(replace(camera, world_to_camera=error @ camera.world_to_camera))
+        return given

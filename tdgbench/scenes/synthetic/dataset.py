@@ -108,7 +108,6 @@ class Shot:
     errors: CaptureErrors
 
     def cameras(self, world: World, rng: np.random.Generator) -> list[Camera]:
-        """Return the true cameras."""
         focal = world.focal * self.width
         K = np.array([[focal, 0, self.width / 2], [0, focal, self.height / 2], [0, 0, 1]])
         poses = (look_at(eye, target, world.up) for eye, target in world.cameras(self.views, rng))

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.scenes.scene import Camera
+from tdgbench.scenes.scene import Camera, pose_at
 from tdgbench.scenes.synthetic.capture import TrueRig
 from tdgbench.scenes.synthetic.surfaces import Material, Patches, Solid
 
@@ -47,11 +47,7 @@ def look_at(eye: np.ndarray, target: np.ndarray, up: tuple[float, float, float] 
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(forward, right), forward])
-    pose = np.eye(4)
-    pose[:3, :3] = rotation
-    pose[:3, 3] = -rotation @ eye
-    return pose
+    return pose_at(eye, np.stack([right, np.cross(forward, right), forward]))
 
 
 class Hits(NamedTuple):
@@ -94,9 +90,7 @@ def shade(world: World, hits: Hits) -> tuple[np.ndarray, np.ndarray]:
     return color, degC
 
 
-def render_world(
-    world: World, camera: Camera, supersampling: int = 2, rig: TrueRig | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def render_world(world: World, camera: Camera, rig: TrueRig | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Render RGB (H, W, 3) in [0, 1] and temperature (H, W) in °C, area-sampled; depth z (H, W) in m at pixel centres.
 
     rig: seen by the thermal camera beside the given one. Raises SceneError for a lens that folds the image.
@@ -107,12 +101,10 @@ def render_world(
     corner = np.stack([x.ravel(), y.ravel()], axis=-1).astype(np.float64)
     shape = (camera.height, camera.width)
     color, degC = np.zeros((len(corner), 3)), np.zeros(len(corner))
-    offsets = (np.arange(supersampling) + 0.5) / supersampling
-    for dy in offsets:
-        for dx in offsets:
-            pixels = rig.undistorted(corner + np.array([dx, dy]), camera.K)
-            sample_color, sample_degC = shade(world, trace(world, camera, pixels))
-            color += sample_color / supersampling**2
-            degC += sample_degC / supersampling**2
+    for offset in ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)):  # x, y of four samples of a pixel
+        pixels = rig.undistorted(corner + np.array(offset), camera.K)
+        sample_color, sample_degC = shade(world, trace(world, camera, pixels))
+        color += sample_color / 4
+        degC += sample_degC / 4
     depth = trace(world, camera, rig.undistorted(corner + 0.5, camera.K)).depth
     return color.clip(0, 1).reshape(*shape, 3), degC.reshape(shape), depth.reshape(shape)

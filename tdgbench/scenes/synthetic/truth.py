@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import is_there, read_json, regular_file
+from tdgbench.scenes.inputs import decoding, is_there, read_json, regular_file
 from tdgbench.scenes.synthetic.capture import TrueCamera, TrueRig
 
 FOLDER = "camera"  # inside the scene's
 CAMERA, RIG = "camera.npz", "rig.json"
-
-T = TypeVar("T")
+REMEDY = "delete the scene's folder"
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,11 @@ def write_truth(scene: Path, truth: CameraTruth) -> None:
 
 def read_truth(scene: Path) -> CameraTruth:
     """Read the true camera from a synthetic scene's folder. Raises SceneError if it has none, or a damaged file."""
-    return _read(scene / FOLDER / CAMERA, "true thermal camera; synthetic scenes do, if it has errors", _camera)
+    path = _stated(scene, CAMERA)
+    with decoding(path, "a true camera", REMEDY), np.load(path, allow_pickle=False) as file:
+        stored = dict(file)
+        names = stored.pop("names").tolist()
+        return CameraTruth(names, TrueCamera(reference=float(stored.pop("reference")), **stored))
 
 
 def write_rig(scene: Path, rig: TrueRig) -> None:
@@ -54,21 +55,12 @@ def write_rig(scene: Path, rig: TrueRig) -> None:
 
 def read_rig(scene: Path) -> TrueRig:
     """Read the true rig from a synthetic scene's folder. Raises SceneError if it has none, or a damaged file."""
-    what = "rig; synthetic scenes do, if their thermal camera is not the given one"
-    return _read(scene / FOLDER / RIG, what, lambda path: TrueRig(**read_json(path)))
+    path = _stated(scene, RIG)
+    with decoding(path, "a rig", REMEDY):
+        return TrueRig(**read_json(path))
 
 
-def _camera(path: Path) -> CameraTruth:
-    with np.load(regular_file(path), allow_pickle=False) as file:
-        stored = dict(file)
-    names = stored.pop("names").tolist()
-    return CameraTruth(names, TrueCamera(reference=float(stored.pop("reference")), **stored))
-
-
-def _read(path: Path, what: str, read: Callable[[Path], T]) -> T:
-    if not is_there(path):
-        raise SceneError(f"{path.parents[1]} states no {what}")
-    try:
-        return read(path)
-    except Exception as error:  # numpy and zipfile raise many kinds
-        raise SceneError(f"{path} is damaged ({error!r}); delete the scene's folder") from error
+def _stated(scene: Path, name: str) -> Path:
+    if not is_there(path := scene / FOLDER / name):
+        raise SceneError(f"{scene} has no {FOLDER}/{name}; synthetic scenes do, if their thermal camera is not ideal")
+    return regular_file(path)

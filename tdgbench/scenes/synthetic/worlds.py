@@ -43,7 +43,8 @@ GROUND = (  # pairs of colours
     ((0.76, 0.68, 0.42), (0.62, 0.55, 0.34)), ((0.34, 0.34, 0.36), (0.48, 0.47, 0.46)),
 )  # fmt: skip
 STUCCO, GLASS = ((0.80, 0.76, 0.66), (0.66, 0.58, 0.48)), ((0.22, 0.30, 0.36), (0.44, 0.52, 0.58))
-PIPE_STEEL = (0.55, 0.57, 0.60)
+SKY, MEADOW = ((0.55, 0.70, 0.90), (0.80, 0.85, 0.90)), ((0.45, 0.50, 0.33), (0.60, 0.57, 0.45))
+ASPHALT, PIPE_STEEL = ((0.30, 0.30, 0.30), (0.42, 0.41, 0.39)), (0.55, 0.57, 0.60)
 VIEWS_PER_LINE = 2.5  # × number of lines
 STRAY = 0.003  # standard deviation of the cameras' places, × distance to the surface
 TILT = 0.001  # of their directions, radians
@@ -90,10 +91,6 @@ def _flight(seed: int, ground: Solid) -> World:
         "", False, [(ground, Patches(sites, materials))], cameras, (10.0, 34.0), 0.95, (0.5, 0.3, 0.8),
         up=(0.0, 1.0, 0.0), length=2 * HALF_FLIGHT + HEIGHT / 0.95,
     )  # fmt: skip
-
-
-def _field(seed: int) -> World:
-    return _flight(seed, Rectangle((0, 0, 0), (500, 0, 0), (0, 500, 0)))
 
 
 def _hills(seed: int) -> World:
@@ -177,20 +174,13 @@ def _grid(distance: float, half_width: float, half_height: float, height: float)
 
 def _orbit(seed: int) -> World:
     wave = lambda k, f: Waves(seed * 100 + k, f)  # noqa: E731
+    on_table, on_box = Spot((0.5, 0.2, 0.5), (0.4, 0.4, 0.4), 9.0), Spot((-0.35, 0.1, 0.9), (0.2, 0.2, 0.2), 8.0)
+    box = Material(STEEL, PAINT, wave(4, 2.0), 29.0, 3.0, spots=(on_box,))
     objects: list[tuple[Solid, Material]] = [
-        (Sphere((0, 0, 0), 9.0), Material((0.55, 0.70, 0.90), (0.80, 0.85, 0.90), wave(1, 0.10), 12.0, 3.0)),
-        (
-            Rectangle((0, 0, 0), (8.7, 0, 0), (0, 8.7, 0)),
-            Material((0.45, 0.50, 0.33), (0.60, 0.57, 0.45), wave(2, 0.6), 17.0, 4.0),
-        ),
-        (
-            Cylinder((0, 0, 0), 1.3, 0.5),
-            Material(WOOD, DARK_WOOD, wave(3, 1.5), 20.0, 2.5, spots=(Spot((0.5, 0.2, 0.5), (0.4, 0.4, 0.4), 9.0),)),
-        ),
-        (
-            Cuboid((-0.35, 0.35, 0.8), (0.35, 0.28, 0.3), 0.5),
-            Material(STEEL, PAINT, wave(4, 2.0), 29.0, 3.0, spots=(Spot((-0.35, 0.1, 0.9), (0.2, 0.2, 0.2), 8.0),)),
-        ),
+        (Sphere((0, 0, 0), 9.0), Material(*SKY, wave(1, 0.10), 12.0, 3.0)),
+        (Rectangle((0, 0, 0), (8.7, 0, 0), (0, 8.7, 0)), Material(*MEADOW, wave(2, 0.6), 17.0, 4.0)),
+        (Cylinder((0, 0, 0), 1.3, 0.5), Material(WOOD, DARK_WOOD, wave(3, 1.5), 20.0, 2.5, spots=(on_table,))),
+        (Cuboid((-0.35, 0.35, 0.8), (0.35, 0.28, 0.3), 0.5), box),
         (Sphere((0.45, 0.25, 0.78), 0.28), Material(CERAMIC, GLAZE, wave(5, 2.0), 40.0, 2.0, -6.0)),
         (Cylinder((0.1, -0.55, 0.5), 0.2, 0.55), Material(GLAZE, CERAMIC, wave(6, 2.5), 8.0, 2.0, 6.0)),
     ]
@@ -199,21 +189,14 @@ def _orbit(seed: int) -> World:
 
 def _night(seed: int) -> World:
     wave = lambda k, f: Waves(seed * 100 + k, f)  # noqa: E731
-    leak = Spot((1.3, 3.0, 1.2), (0.35, 1.0, 0.9), 12.0)
+    leak, on_machine = Spot((1.3, 3.0, 1.2), (0.35, 1.0, 0.9), 12.0), Spot((-0.5, 0.5, 0.6), (0.4, 0.4, 0.3), 16.0)
+    wall = Material(BRICK, MORTAR, wave(3, 1.2), 11.0, 2.5, 0.8, (leak,))
+    machine = Material(PAINT, STEEL, wave(4, 1.4), 18.0, 2.5, spots=(on_machine,))
     objects: list[tuple[Solid, Material]] = [
         (Sphere((0, 0, 0), 14.0), Material((0.20, 0.22, 0.30), (0.12, 0.13, 0.20), wave(1, 0.08), 2.0, 2.0)),
-        (
-            Rectangle((0, 0, 0), (13.5, 0, 0), (0, 13.5, 0)),
-            Material((0.30, 0.30, 0.30), (0.42, 0.41, 0.39), wave(2, 0.5), 7.0, 3.0),
-        ),
-        (
-            Rectangle((0, 3.0, 1.6), (4.0, 0, 0), (0, 0, 1.6)),
-            Material(BRICK, MORTAR, wave(3, 1.2), 11.0, 2.5, 0.8, (leak,)),
-        ),
-        (
-            Cuboid((-0.8, 0.9, 0.55), (0.7, 0.45, 0.55), 0.3),
-            Material(PAINT, STEEL, wave(4, 1.4), 18.0, 2.5, spots=(Spot((-0.5, 0.5, 0.6), (0.4, 0.4, 0.3), 16.0),)),
-        ),
+        (Rectangle((0, 0, 0), (13.5, 0, 0), (0, 13.5, 0)), Material(*ASPHALT, wave(2, 0.5), 7.0, 3.0)),
+        (Rectangle((0, 3.0, 1.6), (4.0, 0, 0), (0, 0, 1.6)), wall),
+        (Cuboid((-0.8, 0.9, 0.55), (0.7, 0.45, 0.55), 0.3), machine),
         (Cylinder((0.9, 0.6, 0.0), 0.35, 1.3), Material(STEEL, STAIN, wave(5, 1.6), 24.0, 2.0, 5.0)),
         (Sphere((0.1, -0.3, 0.3), 0.3), Material(CERAMIC, STAIN, wave(6, 1.8), 33.0, 2.0, -5.0)),
     ]
@@ -223,16 +206,12 @@ def _night(seed: int) -> World:
 
 def _turntable(seed: int) -> World:
     wave = lambda k, f: Waves(seed * 100 + k, f)  # noqa: E731
+    on_table, on_side = Spot((0, 0, 0), (0.8, 0.8, 0.5), 5.0), Spot((0.4, 0.3, 0.2), (0.3, 0.3, 0.2), 8.0)
+    table = Material(DARK_WOOD, WOOD, wave(2, 0.7), 20.0, 2.5, spots=(on_table,))
     objects: list[tuple[Solid, Material]] = [
         (Sphere((0, 0, 0), 6.0), Material(PLASTER, STAIN, wave(1, 0.15), 21.0, 2.0)),
-        (
-            Rectangle((0, 0, 0), (5.7, 0, 0), (0, 5.7, 0)),
-            Material(DARK_WOOD, WOOD, wave(2, 0.7), 20.0, 2.5, spots=(Spot((0, 0, 0), (0.8, 0.8, 0.5), 5.0),)),
-        ),
-        (
-            Cylinder((0, 0, 0), 0.55, 0.7),
-            Material(STEEL, STAIN, wave(3, 1.8), 38.0, 2.0, 9.0, (Spot((0.4, 0.3, 0.2), (0.3, 0.3, 0.2), 8.0),)),
-        ),
+        (Rectangle((0, 0, 0), (5.7, 0, 0), (0, 5.7, 0)), table),
+        (Cylinder((0, 0, 0), 0.55, 0.7), Material(STEEL, STAIN, wave(3, 1.8), 38.0, 2.0, 9.0, (on_side,))),
         (Sphere((0.0, 0.0, 0.95), 0.38), Material(CERAMIC, GLAZE, wave(4, 1.6), 33.0, 4.0)),
         (Cuboid((0.95, -0.5, 0.25), (0.28, 0.2, 0.25), 0.8), Material(PAINT, CERAMIC, wave(5, 2.0), 27.0, 3.0, 4.0)),
         (Cuboid((-0.7, 0.85, 0.2), (0.22, 0.3, 0.2), -0.4), Material(GLAZE, WOOD, wave(6, 2.0), 17.0, 2.0)),
@@ -262,7 +241,7 @@ def _half_seen(seed: int) -> World:
         Spot((-0.2, 1.3, 1.6), (0.5, 0.3, 0.4), 9.0), Spot((1.8, 0.2, 1.2), (0.3, 0.4, 0.5), 6.0),
     )  # fmt: skip
     objects: list[tuple[Solid, Material]] = [
-        (Sphere((0, 0, 0), 16.0), Material((0.55, 0.70, 0.90), (0.80, 0.85, 0.90), wave(1, 0.08), 2.0, 2.0)),
+        (Sphere((0, 0, 0), 16.0), Material(*SKY, wave(1, 0.08), 2.0, 2.0)),
         (Rectangle((0, 0, 0), (15.5, 0, 0), (0, 15.5, 0)), Material(*GROUND[0], wave(2, 0.4), 9.0, 3.0)),
         (Cuboid((0, 0, 1.1), (1.8, 1.3, 1.1)), Material(BRICK, MORTAR, wave(3, 1.0), 14.0, 2.5, 0.6, leaks)),
         (Cuboid((0, 0, 2.3), (2.0, 1.5, 0.1)), Material(DARK_WOOD, WOOD, wave(4, 0.9), 6.0, 2.0)),
@@ -283,7 +262,7 @@ WORLDS: dict[str, Callable[[int], World]] = {
     "night": _night,
     "turntable": _turntable,
     "facade": _facade,
-    "field": _field,
+    "field": lambda seed: _flight(seed, Rectangle((0, 0, 0), (500, 0, 0), (0, 500, 0))),
     "hills": _hills,
     "wall": _wall,
     "half_seen": _half_seen,

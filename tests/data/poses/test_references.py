@@ -141,9 +141,9 @@ STILL = metashape({"x": np.eye(4)})
         ),
         ("a.zip", "no archive", "a.zip cannot be read"),
         ("a.txt", "# PhotoID, X\n", "a.txt is no list of poses that is read here; Metashape's begins with"),
-        ("a.json", SHOT % "", "a.json is no reconstruction.json .*rot_vec"),
+        ("a.json", SHOT % "", "a.json cannot be read as a reconstruction.json .*rot_vec"),
         ("a.json", SHOT % ", NaN", "view x has a pose that is not finite"),
-        ("a.json", "[", "a.json is no reconstruction.json"),
+        ("a.json", "[", "a.json cannot be read as a reconstruction.json"),
         ("a.csv", "", "a.csv holds no poses that are read here; give a scene"),
     ],
 )

@@ -11,7 +11,7 @@ from PIL import Image, TiffImagePlugin
 from tdgbench.data.poses.compare import compare
 from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare import prepare as module
-from tdgbench.data.prepare.contrast import picture
+from tdgbench.data.prepare.capture import picture
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions, Structure
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError

@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from tdgbench.data.prepare import sfm
-from tdgbench.data.prepare.contrast import picture
+from tdgbench.data.prepare.capture import picture
 from tdgbench.data.prepare.sfm import SfmOptions, image_pairs, reconstruct
 from tdgbench.data.prepare.stages import Stages
 from tdgbench.scenes import SceneError
