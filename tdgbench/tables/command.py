@@ -27,7 +27,7 @@ from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.records import read_results
 from tdgbench.tables.sensitivity import Weights, sensitivity
 from tdgbench.tables.show import show_claims, show_findings, show_problems, show_sensitivity, show_tables
-from tdgbench.terminal import console, say
+from tdgbench.terminal import say
 from tdgbench.text import one_line
 
 
@@ -54,7 +54,7 @@ def _tables(experiment: Path) -> int:
         tables = build_tables(experiment)
     except (ValueError, OSError) as error:
         return _refused(error)
-    show_tables(tables, console())
+    show_tables(tables)
     show_findings(tables.findings)
     return int(bool(tables.problems))
 
@@ -75,8 +75,8 @@ def _sensitivity(experiment: Path, weights: Weights) -> int:
         return _refused(error)
     (experiment / "tables").mkdir(exist_ok=True)
     write_text(experiment / "tables" / "sensitivity.csv", as_csv(table, na_rep="n/a"))
-    show_problems(results.problems, console())
-    show_sensitivity(table, console())
+    show_problems(results.problems)
+    show_sensitivity(table)
     return int(bool(results.problems))
 
 
@@ -85,9 +85,9 @@ def _claims(experiments: list[Path]) -> int:
         claims = write_claims(experiments)
     except (ValueError, OSError) as error:
         return _refused(error)
-    show_claims(claims, console())
+    show_claims(claims)
     problems = [problem for folder in experiments for problem in read_results(folder).problems]
-    show_problems(problems, console())
+    show_problems(problems)
     show_findings(claims_in_words(claims))
     return int(bool(problems))
 

@@ -12,7 +12,7 @@ from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show_findings, show_tables
-from tdgbench.terminal import console, say
+from tdgbench.terminal import say
 
 FAILED = ("failed", "missing", "no prior")
 
@@ -65,7 +65,7 @@ def _cells(count: int) -> str:
 def write_all(experiment: Path) -> list[str]:
     """Write and print tables, pictures and report of all cells on disk; return the findings in sentences."""
     tables = build_tables(experiment)
-    show_tables(tables, console())
+    show_tables(tables)
     say(f"tables: {tables.folder}")
     if draw_strip(tables.records, experiment, experiment / "strip.png"):
         say(f"pictures: {experiment / 'strip.png'}")
