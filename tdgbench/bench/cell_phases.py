@@ -159,7 +159,7 @@ class CellRun(SetupObserver):
         seconds = trainer.method.step_seconds()
         whole = seconds * trainer.whole_context.budget.iterations
         if whole > SLOW and training_device(self.record.backend).type == "cpu":
-            self.progress.warn(
+            self.progress.say(
                 f"its networks alone will take at least {duration(whole)} on this CPU ({seconds:.2g} s a step, more as "
                 "Gaussians grow); budget.iterations=NUMBER is shorter, backend=cuda faster"
             )

@@ -48,11 +48,7 @@ class CellProgress:
     def start(self, views: int) -> None:
         """Say that the cell has to run: it trains on so many views."""
         if self._bar is None:
-            self._print(f"starts, {self._iterations} iterations on {views} training views")
-
-    def warn(self, text: str) -> None:
-        """Say what a reader should know before the training begins."""
-        self._print(text)
+            self.say(f"starts, {self._iterations} iterations on {views} training views")
 
     def phase(self, name: str) -> None:
         """Begin a phase."""
@@ -62,7 +58,7 @@ class CellProgress:
                 self._bar.reset(self._task, total=self._iterations)
             self._bar.update(self._task, state=name)
         elif self._is_due():
-            self._print(f"phase {name}")
+            self.say(f"phase {name}")
 
     def count(self, done: int, total: int) -> None:
         """Show how many of a phase's views are done."""
@@ -106,7 +102,7 @@ class CellProgress:
         """Print what the phase has done, if a line is due."""
         now = self._clock()
         if self._is_due():
-            self._print(state + self._left(now, done, total))
+            self.say(state + self._left(now, done, total))
             self._mark = now, done
         self._mark = self._mark or (now, done)
 
@@ -119,6 +115,7 @@ class CellProgress:
     def _is_due(self) -> bool:
         return self._clock() - self._last >= INTERVAL
 
-    def _print(self, state: str) -> None:
+    def say(self, state: str) -> None:
+        """Print a line about the cell."""
         self._last = self._clock()
         self._console.print(Text(one_line(f"{self._title}: {state}")), soft_wrap=True)
