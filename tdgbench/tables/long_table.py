@@ -124,21 +124,14 @@ def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
 
 def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
     """Mark the best method of each row of the table. Values that print the same are a tie, which has no mark."""
-    rows = rows.copy()
-    rounded = [
-        np.nan if np.isnan(v) else round(v, digits(metric, scene))
-        for v, metric, scene in zip(rows["value"], rows["metric"], rows["scene"], strict=True)
+    goodness = [
+        round(r.value, digits(r.metric, r.scene)) * (1 if MEASURES[r.metric].higher_is_better else -1)
+        for r in rows.itertuples()
     ]
-    rows["bold"] = False
-    for (_, _, metric), group in pd.Series(rounded, rows.index).groupby(
-        [rows["dataset"], rows["scene"], rows["metric"]], sort=False
-    ):
-        known = group.dropna()
-        best = known.max() if MEASURES[str(metric)].higher_is_better else known.min()
-        winners = known.index[known == best]
-        if len(known) > 1 and len(winners) == 1:
-            rows.loc[winners, "bold"] = True
-    return rows[[*KEYS, "value", "bold", *(["reason"] if "reason" in rows else [])]]
+    by_row = pd.Series(goodness, rows.index, dtype=float).groupby([rows["dataset"], rows["scene"], rows["metric"]])
+    is_first = by_row.rank(method="max", ascending=False) == 1
+    bold = rows.assign(bold=is_first & (by_row.transform("count") > 1))
+    return bold[[*KEYS, "value", "bold", *(["reason"] if "reason" in rows else [])]]
 
 
 def initial_points(ablation: pd.DataFrame) -> list[str]:
