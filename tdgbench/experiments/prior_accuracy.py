@@ -47,9 +47,10 @@ class PriorErrors(NamedTuple):
     reason: str = ""  # why there is no prior; then the rest is empty
 
     @property
-    def mean(self) -> Accuracy | None:
-        """Means of the errors over the views; None without any."""
-        return Accuracy(*map(float, np.mean(list(self.views.values()), axis=0))) if self.views else None
+    def mean(self) -> Accuracy:
+        """Means of the errors over the views; NaN without any."""
+        errors = list(self.views.values()) or [Accuracy(np.nan, np.nan, np.nan)]
+        return Accuracy(*map(float, np.mean(errors, axis=0)))
 
 
 class KnownDepth(NamedTuple):
