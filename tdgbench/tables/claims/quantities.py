@@ -76,11 +76,9 @@ def _changes(cell: Cell, _claim: Claim, names: tuple[str, ...]) -> float | None:
 
 
 def _metric(metric: str) -> Quantity:
-    described = MEASURES[metric]
-    places = described.digits if described.unit else 4
-    return Quantity(
-        metric, _of_measure(metric), higher=described.higher_is_better, digits=places, unit=described.suffix
-    )
+    measure = MEASURES[metric]
+    places, of = measure.digits if measure.unit else 4, _of_measure(metric)
+    return Quantity(metric, of, higher=measure.higher_is_better, digits=places, unit=measure.suffix)
 
 
 def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[float, float] | None:
