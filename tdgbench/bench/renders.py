@@ -144,7 +144,6 @@ def response_of(record: Record) -> ImageResponse:
 def blending_of(record: Record) -> Blending:
     """Return constants that the renders of a cell were blended with."""
     packages = record.environment.get("packages")
-    own = None
     if record.backend in backend_names() and isinstance(packages, dict):
-        own = load_backend(record.backend).constants(packages)
-    return own or AS_3DGS
+        return load_backend(record.backend).constants(packages) or AS_3DGS
+    return AS_3DGS
