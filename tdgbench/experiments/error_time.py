@@ -154,7 +154,6 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
         if log.iterations not in sampled and not log.ended:
             return
         scores = mean_scores(score_views(trainer, scene, scorer, response))
-        gaussians = sum(len(model) for model in trainer.gaussians.values())
         rows.append(
             {
                 "scene": scene.name,
@@ -162,7 +161,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
                 "iteration": log.iterations,
                 "seconds": log.seconds,
                 "processor_seconds": log.processor_seconds,
-                "gaussians": gaussians,
+                "gaussians": sum(len(model) for model in trainer.gaussians.values()),
                 **{m: scores[m] for m in CURVE_METRICS},
             }
         )
