@@ -40,7 +40,7 @@ def test_every_check_has_a_claim():
     [
         ("- {id: x, said: y, where: z}", "claim x lacks check"),
         ("- {id: x, said: y, where: z, check: magic}", "claim x names 'magic', which is no check"),
-        ("- {id: x, said: y, where: z, check: better, margins: {beauty: 1}}", "claim x names 'beauty'"),
+        ("- {id: x, said: y, where: z, check: better, margins: {beauty: 1}}", "lacks reason and names 'beauty'"),
         ("- {id: x, said: y, where: z, check: better, margins: {psnr: 1}}", "claim x lacks reason"),
     ],
 )
