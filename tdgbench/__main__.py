@@ -44,16 +44,12 @@ def main() -> int:
                 return interruption.status
             if wants_traceback:
                 raise
-            say(_in_words(error), "error:", stderr=True)
+            from tdgbench.experiments.experiment import error_message
+
+            say(error_message(error, sys.argv[1:]), "error:", stderr=True)
             return 1
         finally:
             gc.enable()
-
-
-def _in_words(error: BaseException) -> str:
-    from tdgbench.experiments.experiment import error_message
-
-    return error_message(error, sys.argv[1:])
 
 
 def _kept() -> str:

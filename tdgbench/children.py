@@ -1,4 +1,4 @@
-"""Processes with a time limit, that end with everything that they started; on Windows, alone."""
+"""Processes with a time limit, that end with everything that they started."""
 
 from __future__ import annotations
 
@@ -39,10 +39,7 @@ def run_limited(command: Sequence[str], seconds: float, folder: Path) -> Ended:
             pass
         finally:
             if child.poll() is None:
-                if hasattr(os, "killpg"):
-                    os.killpg(child.pid, signal.SIGKILL)
-                else:  # Windows
-                    child.kill()
+                os.killpg(child.pid, signal.SIGKILL)
                 child.wait()
         texts = []
         for file in (out, errors):

@@ -58,7 +58,7 @@ class Interruption:
         """Stop repeating; without a signal, restore the handlers. After one, the next ends the process at once."""
         if self.signal is None:
             _set(self.before)
-        elif hasattr(signal, "setitimer"):
+        else:
             signal.setitimer(signal.ITIMER_REAL, 0)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
@@ -67,9 +67,8 @@ class Interruption:
         if not self._has_begun:
             say(f"interrupted by {self.signal.name}", stderr=True)
             os._exit(self.status)
-        if hasattr(signal, "setitimer"):
-            signal.signal(signal.SIGALRM, self._repeat)
-            signal.setitimer(signal.ITIMER_REAL, REPEAT_SECONDS, REPEAT_SECONDS)
+        signal.signal(signal.SIGALRM, self._repeat)
+        signal.setitimer(signal.ITIMER_REAL, REPEAT_SECONDS, REPEAT_SECONDS)
         raise Interrupted(self.signal.name)
 
     def _repeat(self, number: int, frame: FrameType | None) -> None:
@@ -100,7 +99,7 @@ def end_with_parent() -> None:
     def watch() -> None:
         while os.getppid() == parent.pid:
             time.sleep(WATCH_SECONDS)
-        os._exit(128 + signal.SIGKILL if hasattr(signal, "SIGKILL") else 1)
+        os._exit(128 + signal.SIGKILL)
 
     threading.Thread(target=watch, name="parent", daemon=True).start()
 

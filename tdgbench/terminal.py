@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+from collections.abc import Callable
 from typing import Any, TextIO, cast
 
 from rich.console import Console
@@ -63,7 +64,9 @@ class GuardedStream:
     """
 
     def __init__(self, name: str, stream: TextIO | None) -> None:
-        self.name, self._stream, self._broken = name, stream or _closed_stream(), False
+        self.name, self._stream, self._broken = name, stream or io.StringIO(), False
+        if stream is None:
+            self._stream.close()
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=UNPRINTABLE)
 
@@ -71,11 +74,7 @@ class GuardedStream:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        if not self._broken:
-            try:
-                self._stream.write(text)
-            except (OSError, ValueError) as error:  # ValueError: the stream was closed
-                self._give_up(error)
+        self._guard(lambda: self._stream.write(text))
         return len(text)
 
     def writelines(self, lines: list[str]) -> None:
@@ -83,11 +82,7 @@ class GuardedStream:
             self.write(line)
 
     def flush(self) -> None:
-        if not self._broken:
-            try:
-                self._stream.flush()
-            except (OSError, ValueError) as error:
-                self._give_up(error)
+        self._guard(self._stream.flush)
 
     def is_terminal(self) -> bool:
         """Return whether a person reads the stream; never raises."""
@@ -95,6 +90,13 @@ class GuardedStream:
             return self._stream.isatty()
         except (OSError, ValueError):  # ValueError: the stream was closed
             return False
+
+    def _guard(self, call: Callable[[], object]) -> None:
+        if not self._broken:
+            try:
+                call()
+            except (OSError, ValueError) as error:  # ValueError: the stream was closed
+                self._give_up(error)
 
     def _give_up(self, error: Exception) -> None:
         """Discard what is buffered and all that follows; report it, unless this is standard error itself."""
@@ -108,12 +110,6 @@ class GuardedStream:
         if self.name == "stdout":
             reason = error.strerror if isinstance(error, OSError) else "it is closed"
             say(f"nothing more is printed to standard output: {reason}", "note:", "yellow", stderr=True)
-
-
-def _closed_stream() -> TextIO:
-    stream = io.StringIO()
-    stream.close()
-    return stream
 
 
 def _guarded(name: str) -> GuardedStream:

@@ -36,10 +36,7 @@ TOOLS = {
         (
             ("get NAME DIR, check DIR", "download thermalmix, rgbt_scenes or thermoscenes; which scenes are whole?"),
             ("prepare CAMERA_FILES OUT", "make a scene: temperatures, COLMAP model, undistorted images"),
-            (
-                "export SCENE OUT, poses A B",
-                "as the authors' programs read it; errors against a reference's poses",
-            ),
+            ("export SCENE OUT, poses A B", "as the authors' programs read it; errors against a reference's poses"),
         ),
         "tdgbench.data.command",
     ),

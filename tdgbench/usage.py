@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 
 from tdgbench import __version__
@@ -37,18 +36,16 @@ def usage() -> str:
             (f"tdgbench {form}".rstrip(), does) for form, does in (*COMMANDS, *tools)
         ],
         "Experiments": [(path.stem, _summary(path)) for path in sorted((conf / "experiment").glob("*.yaml"))],
-        "Groups, as GROUP=CHOICE": list(_groups(conf)),
+        "Groups, as GROUP=CHOICE": [
+            (folder.name, " ".join(sorted(path.stem for path in folder.glob("*.yaml"))))
+            for folder in sorted(path for path in conf.iterdir() if path.is_dir() and path.name != "experiment")
+        ],
         "Options": list(OPTIONS),
     }
     lines = []
     for title, rows in sections.items():
-        lines += [title, *(_row(*row) for row in rows)]
+        lines += [title, *(f"  {left:<{COLUMN}} {right}" for left, right in rows)]
     return "\n".join(lines)
-
-
-def _groups(conf: Path) -> Iterator[tuple[str, str]]:
-    for folder in sorted(path for path in conf.iterdir() if path.is_dir() and path.name != "experiment"):
-        yield folder.name, " ".join(sorted(path.stem for path in folder.glob("*.yaml")))
 
 
 def _summary(path: Path) -> str:
@@ -56,7 +53,3 @@ def _summary(path: Path) -> str:
     comments = [line.lstrip("# ").rstrip() for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
     text = " ".join(comment for comment in comments if not comment.startswith("@package"))
     return textwrap.shorten(text.split(". ")[0].rstrip("."), WIDTH - COLUMN - 2, placeholder=" ...")
-
-
-def _row(left: str, right: str) -> str:
-    return f"  {left:<{COLUMN}} {right}"

@@ -16,7 +16,7 @@ from omegaconf import DictConfig
 
 from tdgbench.bench import cameras
 from tdgbench.bench.backend_check.choose import auto, training_backend
-from tdgbench.bench.environment import code_version, same_bytes_on
+from tdgbench.bench.environment import SAME_BYTES, code_version
 from tdgbench.bench.key import as_json, cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, files_of, short_name
@@ -67,10 +67,7 @@ class TrainedCell(NamedTuple):
 
 
 class CellRun(SetupObserver):
-    """One run of a cell: `identify`, `load`, `train` and `write`; each takes what the one before returns.
-
-    All of them fill in the record.
-    """
+    """One run of a cell: `identify`, `load`, `train`, `write` fill in the record; each takes what the last returns."""
 
     def __init__(self, cfg: DictConfig, record: Record, experiment: Path, progress: CellProgress) -> None:
         self.cfg, self.record, self.experiment, self.progress = cfg, record, experiment, progress
@@ -159,7 +156,7 @@ class CellRun(SetupObserver):
         seconds = trainer.method.step_seconds()
         whole = seconds * trainer.whole_context.budget.iterations
         if whole > SLOW and training_device(self.record.backend).type == "cpu":
-            self.progress.warn(
+            self.progress.say(
                 f"its networks alone will take at least {duration(whole)} on this CPU ({seconds:.2g} s a step, more as "
                 "Gaussians grow); budget.iterations=NUMBER is shorter, backend=cuda faster"
             )
@@ -276,7 +273,7 @@ class CellRun(SetupObserver):
         made_with = {
             "settings, data or code": self.record.key,
             "backend": self.record.backend,
-            **same_bytes_on(self.record.environment),
+            **{name: self.record.environment[name] for name in SAME_BYTES},
         }
         checkpoint = Checkpoint(self._checkpoint_path, made_with, self.cfg.checkpoint)
         if self.cfg.overwrite == "always":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import os
 import platform
 import subprocess
@@ -13,13 +12,15 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from tdgbench.bench.machine import describe_gpu
+from tdgbench.bench.machine import describe_gpu, proc_field
 from tdgbench.resources import PACKAGE
+from tdgbench.splats.backends.backend import installed_version
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.simd.registers import LANES
 
 ROOT = PACKAGE.parent  # of a checkout, or the folder that an installed wheel was unpacked into
 PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "pycolmap", "lpips", "hydra-core", "gsplat", "warp-lang")
+SAME_BYTES = ("python", "packages", "platform", "cpu", "simd_lanes", "gpu")  # decide a training's bytes; threads do not
 HASHED = (  # folders and files
     "tdgbench/scenes",
     "tdgbench/priors",
@@ -36,7 +37,7 @@ def describe_environment() -> dict[str, object]:
     """Return machine and software, for the record."""
     return {
         "python": platform.python_version(),
-        "packages": {name: _version(name) for name in PACKAGES},
+        "packages": {name: installed_version(name) for name in PACKAGES},
         "platform": platform.platform(),
         "cpu": cpu_model(),
         "cores": os.cpu_count(),
@@ -45,11 +46,6 @@ def describe_environment() -> dict[str, object]:
         "gpu": describe_gpu(),
         "git": git_state(),
     }
-
-
-def same_bytes_on(environment: dict[str, object]) -> dict[str, object]:
-    """Return parts of an environment that decide whether the same training gives the same bytes: threads do not."""
-    return {name: environment[name] for name in ("python", "packages", "platform", "cpu", "simd_lanes", "gpu")}
 
 
 def code_version(config: object = None) -> str:
@@ -97,21 +93,9 @@ def git_state() -> dict[str, object] | None:
 @cache
 def cpu_model() -> str:
     """Return the name of the processor, as precise as the platform gives it."""
-    info = Path("/proc/cpuinfo")
-    if info.exists():
-        for line in info.read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()
+    return proc_field(Path("/proc/cpuinfo"), "model name") or platform.processor() or platform.machine()
 
 
 def _git(*arguments: str) -> str:
     command = ["git", "-C", str(ROOT), *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
-
-
-def _version(package: str) -> str | None:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None

@@ -85,20 +85,14 @@ def why_differs(old: Record, new: Record) -> list[str]:
     """
     if old.key == new.key:
         return []
-    before, after = flat(old.config), flat(new.config)
-    changes = [
-        f"{name}: {_as_text(before, name)} → {_as_text(after, name)}"
-        for name in sorted({*before, *after})
-        if before.get(name, _ABSENT) != after.get(name, _ABSENT)
-    ]
+    before, after = ({k: json.dumps(v) for k, v in flat(record.config).items()} for record in (old, new))
+    texts = {name: (before.get(name, "nothing"), after.get(name, "nothing")) for name in sorted({*before, *after})}
+    changes = [f"{name}: {a} → {b}" for name, (a, b) in texts.items() if a != b]
     if old.data != new.data:
         changes.append("the scene's files changed")
     if old.code != new.code:
         changes.append("the code changed")
     return changes
-
-
-_ABSENT = object()
 
 
 def flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -111,7 +105,3 @@ def flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     for name, value in config.items():
         named |= flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
     return named
-
-
-def _as_text(flat: dict[str, Any], name: str) -> str:
-    return json.dumps(flat[name]) if name in flat else "nothing"

@@ -80,7 +80,6 @@ class PeakMemory:
     """
 
     def __init__(self, on_gpu: bool = False) -> None:
-        """on_gpu: the work is on the current CUDA GPU."""
         self._on_gpu = on_gpu
         self.mb: float | None = None
         self.gpu_mb: float | None = None
@@ -117,8 +116,15 @@ class PeakMemory:
 
 def _read(field: str) -> float | None:
     """Return the field of /proc/self/status, MB; None if it is not there."""
+    kilobytes = proc_field(STATUS, field)
+    return round(int(kilobytes.split()[0]) / 1024, 1) if kilobytes else None
+
+
+def proc_field(file: Path, field: str) -> str:
+    """Return the first value of a field in a file of /proc; empty if it is not there."""
     with contextlib.suppress(OSError):
-        for line in STATUS.read_text(encoding="utf-8").splitlines():
-            if line.startswith(f"{field}:"):
-                return round(int(line.split()[1]) / 1024, 1)
-    return None
+        for line in file.read_text(encoding="utf-8").splitlines():
+            name, _, value = line.partition(":")
+            if name.strip() == field:
+                return value.strip()
+    return ""

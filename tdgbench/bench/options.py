@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, cast
 
-from omegaconf import DictConfig, Node, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt, ValidationError
 
+from tdgbench.bench.key import flat
 from tdgbench.bench.signature import (
     STRICT,
     UNKNOWN,
@@ -263,16 +264,10 @@ def _resolved(cfg: DictConfig) -> tuple[dict[Any, Any], list[Problem]]:
 
 def _typed_name(cfg: DictConfig, name: str) -> str:
     """Return the option that a user sets: `data.width` for `dataset.loader.options.width`, which is `${data.width}`."""
-    node = _node(cfg, name)
-    refers = None if node is None else re.fullmatch(r"\$\{([a-z_]\w*(?:\.\w+)*)\}", str(node._value()))
-    return _typed_name(cfg, refers.group(1)) if refers and _node(cfg, refers.group(1)) is not None else name
-
-
-def _node(cfg: DictConfig, name: str) -> Node | None:
-    """Return an option as it is written, interpolations included; None where there is none of that name."""
-    node: Node | None = cfg
-    for part in name.split("."):
-        if not isinstance(node, DictConfig) or node._is_none() or node._is_interpolation() or node._is_missing():
-            return None
-        node = node._get_node(part, validate_access=False)  # type: ignore[assignment]
-    return node
+    written = flat(cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=False)))
+    while refers := re.fullmatch(r"\$\{([a-z_]\w*(?:\.\w+)*)\}", str(written.get(name))):
+        target = refers.group(1)
+        if not any(option == target or option.startswith(f"{target}.") for option in written):
+            break
+        name = target
+    return name

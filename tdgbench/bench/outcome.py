@@ -73,10 +73,6 @@ def scores_in_words(record: Record) -> str:
     >>> scores_in_words(Record("tdg", "", "a", "", 0, "", "", scores={"psnr": 24.061}, seconds={"train": 754.0}))
     'PSNR 24.06 dB, SSIM n/a, LPIPS n/a, trained in 0:12:34'
     """
-    parts = []
-    for name, metric in METRICS.items():
-        value = record.scores.get(name)
-        if metric.in_main_table:
-            parts.append(f"{metric.label} " + ("n/a" if value is None else f"{value:.{metric.digits}f}{metric.suffix}"))
+    parts = [f"{m.label} {m.as_text(record.scores.get(m.name))}" for m in METRICS.values() if m.in_main_table]
     made = record.made_elsewhere
     return ", ".join([*parts, made["summary"] if made else f"trained in {duration(record.seconds['train'])}"])

@@ -28,85 +28,70 @@ class CellProgress:
     def __init__(
         self, console: Console, iterations: int, clock: Callable[[], float] = time.monotonic, alone: bool = True
     ) -> None:
-        self._console, self._iterations, self._clock, self._alone = console, iterations, clock, alone
-        self._bar: Progress | None = None
+        self._console, self._iterations, self._clock = console, iterations, clock
+        self._shows_bar = console.is_interactive and alone
         self._mark: tuple[float, int] | None = None  # time and count from which the pace is measured
         self._reset("")
 
     def begin(self, title: str) -> None:
         """Begin a cell, which may turn out to be finished already."""
         self._reset(title)
-        if self._bar is not None:
-            self._bar.start()
+        self._bar.start()
 
     def rename(self, title: str) -> None:
-        """Change the title of the cell."""
         self._title = title
-        if self._bar is not None:
-            self._bar.update(self._task, description=title)
+        self._bar.update(self._task, description=title)
 
     def start(self, views: int) -> None:
         """Say that the cell has to run: it trains on so many views."""
-        if self._bar is None:
-            self._print(f"starts, {self._iterations} iterations on {views} training views")
-
-    def warn(self, text: str) -> None:
-        """Say what a reader should know before the training begins."""
-        self._print(text)
+        if not self._shows_bar:
+            self.say(f"starts, {self._iterations} iterations on {views} training views")
 
     def phase(self, name: str) -> None:
-        """Begin a phase."""
         self._phase, self._mark = name, None
-        if self._bar is not None:
-            if name == "train":
-                self._bar.reset(self._task, total=self._iterations)
-            self._bar.update(self._task, state=name)
-        elif self._is_due():
-            self._print(f"phase {name}")
+        if name == "train":
+            self._bar.reset(self._task, total=self._iterations)
+        self._bar.update(self._task, state=name)
+        if self._is_due():
+            self.say(f"phase {name}")
 
     def count(self, done: int, total: int) -> None:
         """Show how many of a phase's views are done."""
-        if self._bar is not None:
-            self._bar.update(self._task, completed=done, total=total)
-        else:
-            self._report(done, total, f"{self._phase}, {done} of {total} views")
+        self._bar.update(self._task, completed=done, total=total)
+        self._report(done, total, f"{self._phase}, {done} of {total} views")
 
     def line(self, line: LogLine) -> None:
         """Show a line of the training log."""
         numbers = f"loss {line.loss:.4f}", f"PSNR {line.psnr:.1f} dB", f"{line.gaussians:,} Gaussians"
-        if self._bar is not None:
-            self._bar.update(self._task, completed=line.iteration, state="  ".join(numbers))
-        else:
-            state = f"iteration {line.iteration} of {self._iterations}, {', '.join(numbers)}"
-            self._report(line.iteration, self._iterations, state)
+        self._bar.update(self._task, completed=line.iteration, state="  ".join(numbers))
+        state = f"iteration {line.iteration} of {self._iterations}, {', '.join(numbers)}"
+        self._report(line.iteration, self._iterations, state)
 
     def end(self) -> None:
-        """End the cell."""
-        if self._bar is not None:
-            self._bar.stop()
+        self._bar.stop()
 
     def _reset(self, title: str) -> None:
         self._title, self._phase = title, ""
         self._last = self._clock()  # time of the last line
         self._mark = None
-        if self._console.is_interactive and self._alone:
-            self._bar = Progress(
-                TextColumn("{task.description}", markup=False),
-                BarColumn(bar_width=20),
-                TextColumn("{task.percentage:>3.0f}%"),
-                TextColumn("{task.fields[state]}"),
-                TimeElapsedColumn(),
-                TimeRemainingColumn(),
-                console=self._console,
-                transient=True,
-            )
-            self._task = self._bar.add_task(title, total=None, state="")
+        self._bar = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(bar_width=20),
+            TextColumn("{task.percentage:>3.0f}%"),
+            TextColumn("{task.fields[state]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=self._console if self._shows_bar else Console(quiet=True),
+            transient=True,
+            disable=not self._shows_bar,
+        )
+        self._task = self._bar.add_task(title, total=None, state="")
 
     def _report(self, done: int, total: int, state: str) -> None:
         """Print what the phase has done, if a line is due."""
         now = self._clock()
         if self._is_due():
-            self._print(state + self._left(now, done, total))
+            self.say(state + self._left(now, done, total))
             self._mark = now, done
         self._mark = self._mark or (now, done)
 
@@ -117,8 +102,9 @@ class CellProgress:
         return f", about {duration((total - done) * (now - then) / (done - before))} left"
 
     def _is_due(self) -> bool:
-        return self._clock() - self._last >= INTERVAL
+        return not self._shows_bar and self._clock() - self._last >= INTERVAL
 
-    def _print(self, state: str) -> None:
+    def say(self, state: str) -> None:
+        """Print a line about the cell."""
         self._last = self._clock()
         self._console.print(Text(one_line(f"{self._title}: {state}")), soft_wrap=True)

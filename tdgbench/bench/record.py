@@ -182,11 +182,9 @@ def read_record(folder: Path) -> Record | None:
         return _validator().validate_json(read_text(path), strict=True)
     except FileNotFoundError:
         return None
-    except ValidationError as error:
-        problem = _describe(dict(error.errors(include_url=False)[0]))
-        raise ValueError(f"{path} is not a record: {problem}; delete its folder to run the cell again") from error
     except ValueError as error:
-        raise ValueError(f"{path} is not a record: {error}; delete its folder to run the cell again") from error
+        problem = _problems(error)[0] if isinstance(error, ValidationError) else error
+        raise ValueError(f"{path} is not a record: {problem}; delete its folder to run the cell again") from error
 
 
 def read_all(experiment: Path) -> list[Record]:
@@ -236,7 +234,7 @@ def schema_problems(text: str) -> list[str]:
     try:
         _validator().validate_json(text, strict=True)
     except ValidationError as error:
-        return [_describe(dict(problem)) for problem in error.errors(include_url=False)]
+        return _problems(error)
     return []
 
 
@@ -267,9 +265,11 @@ def _check_status(record: Record) -> Record:
     return record
 
 
-def _describe(error: dict[str, Any]) -> str:
-    """Return one line: where, what, and the value unless it is an object or an array."""
-    place = ".".join(["$", *(str(part) for part in error["loc"])])
-    value = error["input"]
-    shown = "" if isinstance(value, dict | list) else f", not {shortened(repr(value), MOST_SHOWN)}"
-    return f"{place}: {one_line(error['msg'])}{shown}"
+def _problems(error: ValidationError) -> list[str]:
+    """Return a line for each problem: where, what, and the value unless it is an object or an array."""
+    found = []
+    for problem in error.errors(include_url=False):
+        place, value = ".".join(["$", *map(str, problem["loc"])]), problem["input"]
+        shown = "" if isinstance(value, dict | list) else f", not {shortened(repr(value), MOST_SHOWN)}"
+        found.append(f"{place}: {one_line(problem['msg'])}{shown}")
+    return found

@@ -61,10 +61,14 @@ def render_images(
     render = method.render(frame).cpu()
     if render.depth is None and method.trains:
         raise TypeError(f"{method.name}.render gives no depth; a method must render depth with the image")
-    depth = None if render.depth is None else (render.depth / render.alpha.clamp_min(1e-6)).numpy()
     image = render.image.numpy()
     rendered = {name: method.render(frame, name).cpu().image.numpy() for name in others if name in method.modalities}
-    return RenderedImages(response.of(image, view.name), depth, rendered, response.temperatures(image))
+    return RenderedImages(response.of(image, view.name), depth_of(render), rendered, response.temperatures(image))
+
+
+def depth_of(render: Render) -> np.ndarray | None:
+    """Return the expected z (H, W) of a render on the CPU; None if it has none."""
+    return None if render.depth is None else (render.depth / render.alpha.clamp_min(1e-6)).numpy()
 
 
 def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:
@@ -140,7 +144,6 @@ def response_of(record: Record) -> ImageResponse:
 def blending_of(record: Record) -> Blending:
     """Return constants that the renders of a cell were blended with."""
     packages = record.environment.get("packages")
-    own = None
     if record.backend in backend_names() and isinstance(packages, dict):
-        own = load_backend(record.backend).constants(packages)
-    return own or AS_3DGS
+        return load_backend(record.backend).constants(packages) or AS_3DGS
+    return AS_3DGS

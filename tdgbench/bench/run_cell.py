@@ -33,9 +33,12 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
     A failure of the cell is an outcome, not an exception, whatever its cause. Interrupts are raised, after the locks
     are released.
     """
-    run, held = None, ExitStack()
+    run, held, remark = None, ExitStack(), ""
+    held.callback(progress.end)
     try:
-        record = _record_of(cfg, variant)
+        check_names(cfg)
+        method, scene, init, experiment = (str(name) for name in (cfg.method.name, cfg.scene, cfg.init.name, cfg.name))
+        record = Record(method, "", scene, init, int(cfg.seed), experiment, variant)
         run = CellRun(cfg, record, Path(str(cfg.results)) / record.experiment, progress)
         progress.begin(record.title)
         outcome = _run(run, held)
@@ -47,15 +50,11 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
     finally:
         if run is not None and run.is_locked:
             run.withdraw()
-        remarks = _close(held, progress)
-    return replace(outcome, message="; ".join(filter(None, [outcome.message, *remarks])))
-
-
-def _record_of(cfg: DictConfig, variant: str) -> Record:
-    """Return the record of a cell before its scene is known. Raises OptionError if the options name no cell."""
-    check_names(cfg)
-    method, scene, init, experiment = (str(name) for name in (cfg.method.name, cfg.scene, cfg.init.name, cfg.name))
-    return Record(method, "", scene, init, int(cfg.seed), experiment, variant)
+        try:
+            held.close()
+        except Exception as error:  # changes no outcome
+            remark = f"clearing up: {failures.message(error)}"
+    return replace(outcome, message="; ".join(filter(None, [outcome.message, remark])))
 
 
 def _title(cfg: DictConfig, run: CellRun | None) -> str:
@@ -96,14 +95,10 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
         trained = run.train(cell, run.load(cell))
     record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
     run.write(trained)
-    return finished(record, "; ".join([*_remarks(existing, record), *run.remarks]))
-
-
-def _remarks(existing: Record | None, record: Record) -> list[str]:
-    """Return why a cell with a record ran again, and where its training resumed."""
     changes = [] if existing is None else why_differs(existing, record)
     remarks = [f"run again, changed: {'; '.join(changes)}"] if changes else []
-    return remarks + ([f"resumed after iteration {record.resumed[-1]}"] if record.resumed else [])
+    remarks += [f"resumed after iteration {record.resumed[-1]}"] if record.resumed else []
+    return finished(record, "; ".join([*remarks, *run.remarks]))
 
 
 def _keep_failure(error: BaseException, run: CellRun | None) -> str:
@@ -127,17 +122,6 @@ def _keep_failure(error: BaseException, run: CellRun | None) -> str:
     except Exception as unwritten:
         message += f" (its record could not be written: {unwritten})"
     return f"{phase}: {message}"
-
-
-def _close(held: ExitStack, progress: CellProgress) -> list[str]:
-    """Release the locks and end the progress bar. Returns what did not work: it changes no outcome."""
-    remarks = []
-    for close in (held.close, progress.end):
-        try:
-            close()
-        except Exception as error:
-            remarks.append(f"clearing up: {failures.message(error)}")
-    return remarks
 
 
 def _outcome_without_run(existing: Record, record: Record, cfg: DictConfig) -> Outcome | None:

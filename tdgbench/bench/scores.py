@@ -9,7 +9,7 @@ from pathlib import Path
 from tdgbench.bench.read_files import read_table
 from tdgbench.bench.renders import render_images
 from tdgbench.scenes import Scene
-from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
+from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, Scores, mean_scores
 from tdgbench.scoring.scored_view import NotApplicableError
 from tdgbench.splats.cpu import pool
 from tdgbench.text import csv_text, from_csv, shortened
@@ -17,13 +17,11 @@ from tdgbench.thermal import IDEAL, ImageResponse
 from tdgbench.training.loop import TrainingLog
 from tdgbench.training.trainer import Trainer
 
-Row = dict[str, float | None]
+Row = Scores  # of views.csv
 VIEWS_A_THREAD = 2  # training views that are rendered before they are scored together
 
 
-def score_views(
-    trainer: Trainer, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL
-) -> dict[str, dict[str, float | None]]:
+def score_views(trainer: Trainer, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL) -> dict[str, Scores]:
     """Render and score the test views of a scene; scores by view and metric, None where a metric has no value.
 
     Nothing is said on what the training views determine, which takes a pass over all of them.
@@ -31,14 +29,12 @@ def score_views(
     return scorer.score(scene, {view.name: render_images(trainer, view, response) for view in scene.test})
 
 
-def score_training_views(
-    trainer: Trainer, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL
-) -> dict[str, float | None]:
+def score_training_views(trainer: Trainer, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL) -> Scores:
     """Return mean PSNR and SSIM of the training views, far higher than on test views for a model that overfits.
 
     None for a method that has no renders of them; the reason is in the scorer's `missing`.
     """
-    scores: dict[str, dict[str, float | None]] = {}
+    scores: dict[str, Scores] = {}
     for start, stop in batches(len(scene.train)):  # all renders of a large scene would take gigabytes
         views = scene.train[start:stop]
         try:
@@ -60,7 +56,7 @@ def batches(count: int) -> list[tuple[int, int]]:
     return [(start, min(start + size, count)) for start in range(0, count, size)]
 
 
-def write_views(path: Path, scores: dict[str, dict[str, float | None]]) -> None:
+def write_views(path: Path, scores: dict[str, Scores]) -> None:
     """Write one row per view; n/a where a metric has no value."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

@@ -116,13 +116,11 @@ def set_up(
 
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
     """Return the configuration of the scene loader; without the skip `gray`, thermal images get three channels."""
-    loader = cfg.dataset.loader.copy()
-    read = loader
+    loader = read = cfg.dataset.loader.copy()
     while "inner" in read:  # of a data set that another one reads
         read = read.inner
-    options = read.options
-    if not skips.gray.allowed and options.channels == "auto":
-        options.channels = 3
+    if not skips.gray.allowed and read.options.channels == "auto":
+        read.options.channels = 3
     return loader
 
 

@@ -111,14 +111,12 @@ def _method_of(record: Record) -> Method:
     module, _, name = str(options.pop("_target_", "")).rpartition(".")
     try:
         kind = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"method {record.method} cannot be found ({error}); run this where its file is") from error
-    if not (isinstance(kind, type) and issubclass(kind, Method)):
-        raise ValueError(f"{module}.{name}, of which the record says that it is {record.method}, is no method")
-    try:
+        if not issubclass(kind, Method):
+            raise TypeError(f"{module}.{name} is no method")
         method: Method = kind(**options)
-    except TypeError as error:
-        raise ValueError(f"method {record.method} has other options here: {error}") from error
+    except (ImportError, AttributeError, ValueError, TypeError) as error:
+        reason = f"method {record.method} cannot be made as in its record ({error})"
+        raise ValueError(f"{reason}; run this where its file is, with the version that trained it") from error
     return method
 
 

@@ -14,7 +14,7 @@ from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.record import Record
-from tdgbench.bench.renders import background_of, blending_of, determinacy_of, render_model, response_of
+from tdgbench.bench.renders import background_of, blending_of, depth_of, determinacy_of, render_model, response_of
 from tdgbench.bench.stored_parts import StoredMethod
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.modalities import OTHERS, THERMAL
@@ -111,8 +111,3 @@ class StoredViews:
             raise ValueError(f"{sub}/{name}.png is missing") from error
         except ValueError as error:
             raise ValueError(f"{sub}/{name}.png cannot be read: {error}") from error
-
-
-def depth_of(render: Render) -> np.ndarray | None:
-    """Return the expected z (H, W) of a render; None if it has none."""
-    return None if render.depth is None else (render.depth / render.alpha.clamp_min(1e-6)).numpy()

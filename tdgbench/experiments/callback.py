@@ -25,27 +25,22 @@ class ExperimentCallback(Callback):
     folder: ClassVar[Path | None] = None
 
     def on_run_start(self, config: DictConfig, **kwargs: object) -> None:
-        _start(config)
+        with _status_1_on_error():
+            folder = Path(config.results) / config.name
+            experiment = experiment_of(names_to_text(config))
+            experiment.check(config)
+            experiment.check_typed(config.hydra.overrides.task)
+            check_results_folder(folder)
+            ExperimentCallback.folder = folder
+            experiment.start(config)
 
-    def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
-        _start(config)
+    on_multirun_start = on_run_start
 
     def on_run_end(self, config: DictConfig, **kwargs: object) -> None:
         _end(config, Path(config.hydra.run.dir))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         _end(config, Path(config.hydra.sweep.dir))
-
-
-def _start(cfg: DictConfig) -> None:
-    with _status_1_on_error():
-        folder = Path(cfg.results) / cfg.name
-        experiment = experiment_of(names_to_text(cfg))
-        experiment.check(cfg)
-        experiment.check_typed(cfg.hydra.overrides.task)
-        check_results_folder(folder)
-        ExperimentCallback.folder = folder
-        experiment.start(cfg)
 
 
 def _end(cfg: DictConfig, jobs: Path) -> None:

@@ -18,7 +18,7 @@ from pydantic import BaseModel, Field, PositiveFloat
 from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.experiments.experiment import Experiment, prepare_prior
-from tdgbench.experiments.show import show_table
+from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.scenes import Scene
@@ -67,11 +67,9 @@ class ErrorTime(Experiment):
     sets: ClassVar[Mapping[str, str]] = {"scene": "study.scenes=[NAME,...]", "method": "study.runs"}
 
     def start(self, cfg: DictConfig) -> None:
-        """Prepare the depth priors. Raises PriorUnavailableError if a training needs a prior that is not available."""
         prepare_prior(cfg, [cfg.study.methods[run.method] for run in runs_of(cfg)])
 
     def run(self, cfg: DictConfig) -> None:
-        """Sample the curves, write and print the tables. Raises SystemExit(1) if a training failed."""
         self.check(cfg)
         pool.set_threads(cfg.threads)
         torch.set_num_threads(1)
@@ -83,7 +81,8 @@ class ErrorTime(Experiment):
             first, *others = [run.label for run in runs_of(cfg)]
             savings = faster_by(curves, first, others)
             write_text(folder / "faster.csv", as_csv(savings, na_rep="n/a"))
-            show_table(savings, f"time saved against {first}")
+            shown = {name: (name, "{}" if name in ("scene", "label") else "{:.3g}") for name in savings}
+            show_table(format_columns(savings, shown), f"time saved against {first}")
             draw_curves(curves, folder / "curves.png")
         say(f"tables and pictures: {folder}")
         if failed:
@@ -155,7 +154,6 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
         if log.iterations not in sampled and not log.ended:
             return
         scores = mean_scores(score_views(trainer, scene, scorer, response))
-        gaussians = sum(len(model) for model in trainer.gaussians.values())
         rows.append(
             {
                 "scene": scene.name,
@@ -163,7 +161,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
                 "iteration": log.iterations,
                 "seconds": log.seconds,
                 "processor_seconds": log.processor_seconds,
-                "gaussians": gaussians,
+                "gaussians": sum(len(model) for model in trainer.gaussians.values()),
                 **{m: scores[m] for m in CURVE_METRICS},
             }
         )

@@ -67,16 +67,14 @@ class Experiment(ABC):
 
 
 def experiment_of(cfg: DictConfig) -> Experiment:
-    """Return the experiment of a configuration. Raises TypeError if `study._target_` names anything else."""
-    if not isinstance(cfg.study._target_, str):
-        raise OptionError([Problem("study._target_", "must be the dotted name of a class", cfg.study._target_)])
+    """Return the experiment of a configuration. Raises OptionError if `study._target_` names anything else."""
     try:
         kind = get_class(cfg.study._target_)
+        if not issubclass(kind, Experiment):
+            raise TypeError(f"it is no {Experiment.__module__}.Experiment")
     except Exception as error:  # Hydra's, and whatever the import of a plug-in raises
         reason = str(error).replace("\n", " ")
         raise OptionError([Problem("study._target_", f"cannot be loaded: {reason}", cfg.study._target_)]) from error
-    if not issubclass(kind, Experiment):
-        raise TypeError(f"study._target_ is {cfg.study._target_}, no tdgbench.experiments.experiment.Experiment")
     return kind()
 
 

@@ -47,9 +47,10 @@ class PriorErrors(NamedTuple):
     reason: str = ""  # why there is no prior; then the rest is empty
 
     @property
-    def mean(self) -> Accuracy | None:
-        """Means of the errors over the views; None without any."""
-        return Accuracy(*map(float, np.mean(list(self.views.values()), axis=0))) if self.views else None
+    def mean(self) -> Accuracy:
+        """Means of the errors over the views; NaN without any."""
+        errors = list(self.views.values()) or [Accuracy(np.nan, np.nan, np.nan)]
+        return Accuracy(*map(float, np.mean(errors, axis=0)))
 
 
 class KnownDepth(NamedTuple):
@@ -76,10 +77,8 @@ def measure_prior(prior: DictConfig, scene: Scene, cache: Path | None) -> PriorE
     return PriorErrors(kind, {name: error for name, error in by_view.items() if error is not None})
 
 
-def _of_view(prior: DepthPrior, known: KnownDepth | None) -> Accuracy | None:
+def _of_view(prior: DepthPrior, known: KnownDepth) -> Accuracy | None:
     """Return the error of a map where depth is known and the prior is finite; None where that is too little."""
-    if known is None:
-        return None
     values = prior.values[known.rows, known.columns]
     finite = np.isfinite(values)
     return accuracy(values[finite], prior.kind, known.z[finite]) if finite.sum() >= MIN_POINTS else None
@@ -100,8 +99,8 @@ def split_points(scene: Scene) -> tuple[Scene, np.ndarray]:
     return replace(scene, points=given, fingerprint=f"{scene.fingerprint}-half"), scene.points.points[1::2]
 
 
-def known_depth(view: View, points: np.ndarray) -> KnownDepth | None:
-    """Return the known depth in a view's measured pixels; None below MIN_POINTS. points: (N, 3), the truth."""
+def known_depth(view: View, points: np.ndarray) -> KnownDepth:
+    """Return the known depth in a view's measured pixels. points: (N, 3), the truth."""
     depth, valid = view.true_depth, view.valid
     if depth is None:
         known = _of_points(view, points)
@@ -110,7 +109,7 @@ def known_depth(view: View, points: np.ndarray) -> KnownDepth | None:
         known = KnownDepth(rows, columns, depth[rows, columns].astype(np.float64))
     if valid is not None:
         known = KnownDepth(*(array[valid[known.rows, known.columns]] for array in known))
-    return known if len(known.z) >= MIN_POINTS else None
+    return known
 
 
 def _of_points(view: View, points: np.ndarray) -> KnownDepth:

@@ -112,7 +112,10 @@ def run_scene(cfg: DictConfig, name: str | None) -> SceneTables:
             {
                 **place,
                 "made_from": "" if prior == NONE else str(priors[prior].get("made_from") or ""),
-                **_error_columns(error, source(scene)),
+                "kind": error.kind,
+                "truth": source(scene) if error.views else "",
+                "views": len(error.views),
+                **error.mean._asdict(),
                 "seeds": len(scores[prior]),
                 **scores[prior].mean(skipna=False),
                 "psnr_gain": np.nan if prior == NONE else (scores[prior]["psnr"] - scores[NONE]["psnr"]).mean(),
@@ -130,19 +133,10 @@ def _scores(cells: Sequence[MatrixCell], prior: str) -> pd.DataFrame:
     return pd.DataFrame([record.scores for record in records], seeds, list(SCORES), dtype=float)
 
 
-def _error_columns(errors: PriorErrors, truth: str) -> dict[str, Any]:
-    """Return the errors of a prior, means over the training views, and what they are errors against."""
-    mean = errors.mean or Accuracy(np.nan, np.nan, np.nan)
-    known = {"kind": errors.kind, "truth": truth if errors.mean else "", "views": len(errors.views)}
-    return {**known, **mean._asdict()}
-
-
 def reasons(table: pd.DataFrame) -> list[str]:
     """Say why numbers are missing, one line per reason, with the places."""
-    places: dict[str, list[str]] = {}
-    for row in table[table["reason"] != ""].itertuples():
-        places.setdefault(str(row.reason), []).append(f"{row.prior} on {row.scene}")
-    return [f"{', '.join(where)}: {reason}" for reason, where in places.items()]
+    places = (table["prior"] + " on " + table["scene"])[table["reason"] != ""]
+    return [f"{', '.join(where)}: {reason}" for reason, where in places.groupby(table["reason"], sort=False)]
 
 
 def _write(folder: Path, tables: Sequence[SceneTables]) -> None:

@@ -48,11 +48,9 @@ class SkipAblation(Experiment):
     sets: ClassVar[Mapping[str, str]] = MatrixOptions.SETS
 
     def start(self, cfg: DictConfig) -> None:
-        """Prepare the depth priors. Raises PriorUnavailableError if the cells' prior is not available."""
         prepare_prior(cfg)
 
     def run(self, cfg: DictConfig) -> None:
-        """Run the cells that have no result; write and print the tables. Raises SystemExit(1) if a cell failed."""
         self.check(cfg)
         cells = run_cells(cfg, axes(cfg))
         rows = with_changes(table_of(cells, numbers))

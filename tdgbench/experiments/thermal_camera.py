@@ -32,6 +32,7 @@ from tdgbench.files import write_text
 from tdgbench.scenes.synthetic.drifting import DriftingDataset
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.tables.as_csv import as_csv
+from tdgbench.tables.long_table import metric_value
 from tdgbench.terminal import say
 from tdgbench.thermal.camera import ViewResponses, normalized, normalized_truth
 from tdgbench.thermal.maps import TERMS, evaluate
@@ -77,11 +78,9 @@ class ThermalCameraExperiment(Experiment):
     }  # fmt: skip
 
     def start(self, cfg: DictConfig) -> None:
-        """Prepare the depth priors. Raises PriorUnavailableError if a method needs a prior that is not available."""
         prepare_prior(cfg, cfg.study.methods.values())
 
     def run(self, cfg: DictConfig) -> None:
-        """Run the cells that have no result; write and print the tables. Raises SystemExit(1) if a cell failed."""
         self.check(cfg)
         folder, cells = Path(cfg.results) / cfg.name, run_cells(cfg, axes(cfg))
         errors = response_errors(cells)
@@ -179,9 +178,8 @@ def _has_errors(record: Record, loader: DictConfig) -> bool:
 
 def numbers(record: Record, errors: Mapping[str, float]) -> dict[str, Any]:
     """Return the numbers of a cell: scores, seconds, `camera_errors`; NaN where there is none."""
-    scores = {name: record.scores.get(name) for name in SCORES}
     return {
-        **{name: np.nan if score is None else score for name, score in scores.items()},
+        **{name: metric_value(record, name)[0] for name in SCORES},
         "train_seconds": record.seconds.get("train", np.nan),
         "camera_seconds": record.seconds.get("thermal_camera", 0.0),
         "iterations": record.iterations,

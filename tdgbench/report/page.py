@@ -7,7 +7,7 @@ from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-from tdgbench.bench.record import READ_PHASE, Record
+from tdgbench.bench.record import READ_PHASE, Record, SkipRecord
 from tdgbench.files import write_text
 from tdgbench.report.scene import scene_section
 from tdgbench.report.scores import depth_priors, further_scores, legend, main_scores, published_section
@@ -38,7 +38,7 @@ def write_report(experiment: Path, tables: Tables) -> Path:
         published=published_section(tables),
         changes=None if tables.effects is None else changes_as_text(tables.effects),
         scenes=[scene_section(place[0], place_name(place, scenes), group) for place, group in scenes.items()],
-        skips=[{"title": cell.record.title, "skips": cell.record.skips} for cell in cells],
+        skips=[{"title": cell.record.title, "skips": map(_skipped, cell.record.skips)} for cell in cells],
         failures=[(r.title, r.failure.phase, r.failure.error) for r in records if r.failure is not None],
         problems=tables.problems,
         environments=environments(records),
@@ -46,6 +46,10 @@ def write_report(experiment: Path, tables: Tables) -> Path:
     path = experiment / FILE
     write_text(path, html)
     return path
+
+
+def _skipped(skip: SkipRecord) -> tuple[str, str, str]:
+    return skip["name"], skip["saved"] if skip["taken"] else "nothing", skip["reason"]
 
 
 def environment(package: str) -> Environment:

@@ -50,12 +50,11 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
 
 def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> dict[str, Any]:
     """Return pictures of a test view as data URIs, empty where they are n/a, and what is written below them."""
-    psnr, described = cell.record.scores.get("psnr"), MEASURES["psnr"]
     shown = {
         **dict.fromkeys(("truth", "render", "error", "depth", "guesses"), ""),
         **dict.fromkeys(("depth_range", "barely_seen"), "n/a"),
         "label": label,
-        "psnr": "n/a" if psnr is None else f"{psnr:.{described.digits}f}{described.suffix}",
+        "psnr": MEASURES["psnr"].as_text(cell.record.scores.get("psnr")),
     }
     only_images = cell.record.made_elsewhere is not None and not cell.record.gaussians
     for draw in (_pictures,) if only_images else (_pictures, _geometry):

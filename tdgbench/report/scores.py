@@ -21,7 +21,6 @@ SOURCES = {  # of depth priors, in words
     "points": "the sparse points, which come from RGB images: no evidence for a method of thermal images alone",
     "truth": "true depth, with the errors of a monocular network",
 }
-PLACE = ["dataset", "scene", "method"]
 
 
 def main_scores(tables: Tables) -> dict[str, Any]:
@@ -83,11 +82,7 @@ def published_section(tables: Tables) -> dict[str, Any] | None:
     judged = comparable(tables.difference)
     known = judged[judged["difference"].notna()]
     verdicts = [
-        {
-            "metric": MEASURES[str(metric)].title,
-            "margin": f"{margins[str(metric)]:g}",
-            "counts": verdicts_in_words(group),
-        }
+        [MEASURES[str(metric)].title, f"{margins[str(metric)]:g}", verdicts_in_words(group)]
         for metric, group in known.groupby("metric", sort=False)
     ]
     return {"verdicts": verdicts, **_papers(tables.papers)}
@@ -98,27 +93,24 @@ def _papers(papers: pd.DataFrame) -> dict[str, Any]:
     metrics = [metric for metric in PUBLISHED if metric in set(papers["metric"])]
     rows = []
     for (method, dataset, scene), group in papers.groupby(["method", "dataset", "scene"], sort=False):
-        by_metric, cells = group.set_index("metric"), []
-        for metric in metrics:
-            row = by_metric.loc[metric] if metric in by_metric.index else None
-            spread = "n/a" if row is None else f"{row['spread']:.{digits(metric)}f}"
-            cells.append({"text": "n/a" if row is None else row["values"], "spread": spread})
-        rows.append({"head": [dataset, LABELS.get(str(scene), scene), methods.label(str(method))], "cells": cells})
+        printed = {row.metric: [row.values, f"{row.spread:.{digits(row.metric)}f}"] for row in group.itertuples()}
+        cells = [text for metric in metrics for text in printed.get(metric, ["n/a", "n/a"])]
+        rows.append([dataset, LABELS.get(str(scene), scene), methods.label(str(method)), *cells])
+    titles = [title for metric in metrics for title in (MEASURES[metric].title, "spread")]
     notes = [note for note in dict.fromkeys(papers["note"]) if note]
-    return {"metrics": [MEASURES[metric].title for metric in metrics], "rows": rows, "notes": notes}
+    return {"heads": ["data set", "scene", "method", *titles], "rows": rows, "notes": notes}
 
 
 def _by_scene(tables: Tables, metrics: list[str], published: dict[tuple[Any, ...], Any]) -> dict[str, Any]:
     """Return the rows of the main table in its order, methods of a scene together."""
     values = {(r.method, r.dataset, r.scene, r.metric): r for r in tables.main.itertuples()}
-    places = tables.main[PLACE].drop_duplicates()
-    scene = pd.Series(pd.factorize(places["dataset"] + "/" + places["scene"])[0], places.index)
     rows = []
-    for dataset, scene_name, method in places.loc[scene.sort_values(kind="stable").index].itertuples(index=False):
-        keys = [(method, dataset, scene_name, metric) for metric in metrics]
-        cells = [_number(values[key], published.get(key)) for key in keys]
-        head, key = [dataset, scene_name, methods.label(method)], (dataset, scene_name, method)
-        rows.append({"head": head, "key": key, "cells": cells})
+    for (dataset, scene), group in tables.main.groupby(["dataset", "scene"], sort=False):
+        for method in group["method"].unique():
+            keys = [(method, dataset, scene, metric) for metric in metrics]
+            cells = [_number(values[key], published.get(key)) for key in keys]
+            head, key = [dataset, scene, methods.label(method)], (dataset, scene, method)
+            rows.append({"head": head, "key": key, "cells": cells})
     return {"heads": ["data set", "scene", "method"], "metrics": [MEASURES[m].title for m in metrics], "rows": rows}
 
 

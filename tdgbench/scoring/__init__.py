@@ -5,6 +5,6 @@ A metric is one file of `metrics/`: its function and its description.
 
 from tdgbench.scoring.registry import METRICS, TRAIN_METRICS
 from tdgbench.scoring.scored_view import RenderedImages, to_8bit
-from tdgbench.scoring.scorer import LPIPSOptions, Scorer, mean_scores
+from tdgbench.scoring.scorer import LPIPSOptions, Scorer, Scores, mean_scores
 
-__all__ = ["METRICS", "TRAIN_METRICS", "LPIPSOptions", "RenderedImages", "Scorer", "mean_scores", "to_8bit"]
+__all__ = ["METRICS", "TRAIN_METRICS", "LPIPSOptions", "RenderedImages", "Scorer", "Scores", "mean_scores", "to_8bit"]

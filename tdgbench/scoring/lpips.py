@@ -31,13 +31,7 @@ class LPIPS:
     convolutions to TF32. Raises BackboneUnavailableError if no weights are available.
     """
 
-    def __init__(
-        self,
-        net: Net,
-        input_range: Range,
-        weights: str | None = None,
-        download: bool = True,
-    ) -> None:
+    def __init__(self, net: Net, input_range: Range, weights: str | None = None, download: bool = True) -> None:
         if net not in SPECS:
             raise ValueError(f"metrics.lpips.net is {net!r}; it must be one of {', '.join(SPECS)}")
         self.net, self.input_range = net, input_range

@@ -45,6 +45,10 @@ class Measure:
         """The unit, ready to follow a number."""
         return f" {self.unit}" if self.unit else ""
 
+    def as_text(self, value: float | None) -> str:
+        """Return a value with its digits and unit; n/a for None."""
+        return "n/a" if value is None else f"{value:.{self.digits}f}{self.suffix}"
+
     @property
     def column(self) -> str:
         """Heading on the terminal."""

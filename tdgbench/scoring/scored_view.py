@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -97,6 +96,7 @@ class ScoredView:
     scene: Scene | None = None
     renders: Mapping[str, RenderedImages] = field(default_factory=dict)
     common: dict[str, Any] = field(default_factory=dict)
+    _pairs: dict[str, ImagePair] = field(default_factory=dict, init=False)  # cache of `pair`
 
     def pair(self, modality: str) -> ImagePair:
         """Return the pictures that a metric compares. Raises NotApplicableError without a model or image of it."""
@@ -110,11 +110,6 @@ class ScoredView:
         if self.view.valid is not None and not self.view.valid.any():
             raise NotApplicableError(f"no pixel of view {self.view.name} has a thermal value: its mask leaves none")
         return self.view.valid
-
-    @cached_property
-    def _pairs(self) -> dict[str, ImagePair]:
-        """Cache of `pair`."""
-        return {}
 
     def _thermal(self) -> ImagePair:
         image, valid = as_saved(self.rendered.image), self.valid
@@ -130,19 +125,17 @@ class ScoredView:
             raise NotApplicableError(f"a test view has no {LABELS[modality]} image")
         return ImagePair(as_saved(self.rendered.others[modality]), as_saved(target), self.convention)
 
-    def true_depth(self) -> np.ndarray:
-        """Return the true z (H, W) float64. Raises NotApplicableError if it is unknown or not of the render's size."""
+    def depths(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the rendered and true z of the valid pixels, the latter float64.
+
+        Raises NotApplicableError where either is unknown, or they differ in size.
+        """
         truth = self.view.true_depth
         if truth is None:
             raise NotApplicableError("the scene has no true depth")
         if truth.shape != self.rendered.known_depth.shape:
             raise NotApplicableError("the true depth has another size than the images")
-        return truth.astype(np.float64)
-
-    def depths(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rendered and true z of the valid pixels. Raises NotApplicableError where either is unknown."""
-        truth = self.true_depth()
-        return at_valid(self.valid, self.rendered.known_depth), at_valid(self.valid, truth)
+        return at_valid(self.valid, self.rendered.known_depth), at_valid(self.valid, truth.astype(np.float64))
 
     def nearest_test_view(self) -> View:
         """Return the test view whose camera is nearest. Raises NotApplicableError where there is no other test view."""

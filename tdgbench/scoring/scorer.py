@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import torch
 
 from tdgbench.scenes import Scene, View
 from tdgbench.scoring.at_once import map_views
@@ -24,6 +23,8 @@ from tdgbench.scoring.scored_view import (
     RenderedImages,
     ScoredView,
 )
+
+Scores = dict[str, float | None]  # by metric; None: it does not apply
 
 
 @dataclass(frozen=True)
@@ -53,35 +54,34 @@ class Scorer:
 
     def score(
         self, scene: Scene, renders: Mapping[str, RenderedImages], metrics: Sequence[Metric] = tuple(METRICS.values())
-    ) -> dict[str, dict[str, float | None]]:  # fmt: skip
+    ) -> dict[str, Scores]:
         """Return the metrics of each test view by name; None where one does not apply (the reason is in `missing`)."""
-
         common: dict[str, Any] = {}
 
-        def score(view: View) -> _Scored:
-            shown = ScoredView(view, renders[view.name], self.settings, scene, renders, common)
-            return _scored(shown, metrics)
+        def shown(view: View) -> ScoredView:
+            return ScoredView(view, renders[view.name], self.settings, scene, renders, common)
 
-        if scene.test and any(metric.of_network for metric in metrics):
-            _ = self._lpips  # here, so that no two threads load the network
-        with torch.backends.cudnn.flags(enabled=True, deterministic=True, allow_tf32=False):
-            return self._collected(scene.test, map_views(score, scene.test, _most_pixels(scene.test)))
+        return self._scores(scene.test, shown, metrics)
 
-    def score_train(
-        self, views: Sequence[View], renders: Mapping[str, RenderedImages]
-    ) -> dict[str, dict[str, float | None]]:
+    def score_train(self, views: Sequence[View], renders: Mapping[str, RenderedImages]) -> dict[str, Scores]:
         """Return the metrics of TRAIN_METRICS of training views by name, to detect overfitting."""
 
-        def score(view: View) -> _Scored:
-            return _scored(ScoredView(view, renders[view.name], self.settings), TRAIN_METRICS.values())
+        def shown(view: View) -> ScoredView:
+            return ScoredView(view, renders[view.name], self.settings)
 
-        return self._collected(views, map_views(score, views, _most_pixels(views)))
+        return self._scores(views, shown, list(TRAIN_METRICS.values()))
 
-    def _collected(self, views: Sequence[View], scored: list[_Scored]) -> dict[str, dict[str, float | None]]:
+    def _scores(
+        self, views: Sequence[View], shown: Callable[[View], ScoredView], metrics: Sequence[Metric]
+    ) -> dict[str, Scores]:
         """Return the scores by view, and add the reasons for missing ones to `missing`."""
-        for scores in scored:
-            self.missing |= scores.missing
-        return {view.name: of_view.scores for view, of_view in zip(views, scored, strict=True)}
+        if views and any(metric.of_network for metric in metrics):
+            _ = self._lpips  # here, so that no two threads load the network
+        largest = max((view.camera.width * view.camera.height for view in views), default=0)
+        scored = map_views(lambda view: _scored(shown(view), metrics), views, largest)
+        for _, missing in scored:
+            self.missing |= missing
+        return {view.name: scores for view, (scores, _) in zip(views, scored, strict=True)}
 
     def lpips(self, image: np.ndarray, target: np.ndarray) -> float:
         """Return the LPIPS of two images (H, W, C) in [0, 1]. Raises BackboneUnavailableError without a backbone."""
@@ -98,36 +98,25 @@ class Scorer:
             return error
 
 
-class _Scored(NamedTuple):
-    """Scores of a view, None where a metric does not apply, and why it does not."""
-
-    scores: dict[str, float | None]
-    missing: dict[str, str]
-
-
-def _scored(shown: ScoredView, metrics: Iterable[Metric]) -> _Scored:
-    scored = _Scored({}, {})
+def _scored(shown: ScoredView, metrics: Iterable[Metric]) -> tuple[Scores, dict[str, str]]:
+    """Return the scores of a view, None where a metric does not apply, and why it does not."""
+    scores: Scores = {}
+    missing: dict[str, str] = {}
     for metric in metrics:
         try:
-            scored.scores[metric.name] = metric.score(shown)
+            scores[metric.name] = metric.score(shown)
         except NotApplicableError as error:
-            scored.scores[metric.name], scored.missing[metric.name] = None, str(error)
-    return scored
+            scores[metric.name], missing[metric.name] = None, str(error)
+    return scores, missing
 
 
-def _most_pixels(views: Sequence[View]) -> int:
-    return max((view.camera.width * view.camera.height for view in views), default=0)
-
-
-def mean_scores(
-    views: Mapping[str, Mapping[str, float | None]], metrics: Iterable[str] = METRICS
-) -> dict[str, float | None]:
+def mean_scores(views: Mapping[str, Scores], metrics: Iterable[str] = METRICS) -> Scores:
     """Return the mean over the views of each metric; None where any view lacks it.
 
     >>> mean_scores({"a": {"psnr": 20.0, "lpips": 0.1}, "b": {"psnr": 30.0, "lpips": None}}, ["psnr", "lpips"])
     {'psnr': 25.0, 'lpips': None}
     """
-    means: dict[str, float | None] = {}
+    means: Scores = {}
     for metric in metrics:
         values = [scores.get(metric) for scores in views.values()]
         present = [v for v in values if v is not None]

@@ -57,7 +57,8 @@ def against_others(main: pd.DataFrame) -> pd.DataFrame:
     std, seeds, difference (ours − published). Averages are left out: papers average over different scenes.
     """
     others = published_elsewhere().rename(columns={"value": "published"}).drop(columns="group")
-    others["selected_on"] = others["source"].map({name: source.selected_on for name, source in load_sources().items()})
+    sources = load_sources()
+    others["selected_on"] = [sources[name]["selected_on"] for name in others["source"]]
     ours = main[[*PLACE, "value", "std", "seeds"]].rename(columns={"value": "ours"})
     merged = others[others["scene"] != AVERAGE].merge(ours, on=PLACE)
     return merged.assign(difference=merged["ours"] - merged["published"])
@@ -123,7 +124,7 @@ def _row(place: tuple[str, ...], group: pd.DataFrame, scenes: int = 1) -> dict[s
     sources, places = load_sources(), digits(place[3])
     notes = []
     for row in group.itertuples():
-        entry = sources[row.source].methods.get(row.printed_as, {})
+        entry = sources[row.source]["methods"].get(row.printed_as, {})
         if entry and not entry["sure"]:
             notes.append(f"{row.source}, {row.printed_as}: {entry['note']}")
     low, high = float(group["value"].min()), float(group["value"].max())

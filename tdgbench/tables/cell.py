@@ -35,7 +35,6 @@ class Cell:
 
     @property
     def dataset_and_scene(self) -> tuple[str, str]:
-        """Data set and scene."""
         return self.record.dataset, self.record.scene
 
     @property

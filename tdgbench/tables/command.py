@@ -27,7 +27,7 @@ from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.records import read_results
 from tdgbench.tables.sensitivity import Weights, sensitivity
 from tdgbench.tables.show import show_claims, show_findings, show_problems, show_sensitivity, show_tables
-from tdgbench.terminal import console, say
+from tdgbench.terminal import say
 from tdgbench.text import one_line
 
 
@@ -40,21 +40,18 @@ def main(arguments: list[str]) -> int:
     options = parser.parse_args(arguments)
     what = options.what
     if what[0] == "claims":
-        return _claims([Path(folder) for folder in what[1:]])
+        return _status(lambda: _claims([Path(folder) for folder in what[1:]]))
     build: Callable[[Path], int] = _tables
     if what[0] == "sensitivity":
         build, what = partial(_sensitivity, weights=dict(options.weights)), what[1:]
         if not what:
             parser.error("sensitivity needs the folder of an experiment: results/<experiment>")
-    return max(build(Path(folder)) for folder in what)
+    return max(_status(partial(build, Path(folder))) for folder in what)
 
 
 def _tables(experiment: Path) -> int:
-    try:
-        tables = build_tables(experiment)
-    except (ValueError, OSError) as error:
-        return _refused(error)
-    show_tables(tables, console())
+    tables = build_tables(experiment)
+    show_tables(tables)
     show_findings(tables.findings)
     return int(bool(tables.problems))
 
@@ -68,26 +65,20 @@ def _weights(text: str) -> tuple[str, str]:
 
 
 def _sensitivity(experiment: Path, weights: Weights) -> int:
-    try:
-        results = read_results(experiment)
-        table = sensitivity(finished_cells(experiment, results.records), weights)
-    except (ValueError, OSError) as error:
-        return _refused(error)
+    results = read_results(experiment)
+    table = sensitivity(finished_cells(experiment, results.records), weights)
     (experiment / "tables").mkdir(exist_ok=True)
     write_text(experiment / "tables" / "sensitivity.csv", as_csv(table, na_rep="n/a"))
-    show_problems(results.problems, console())
-    show_sensitivity(table, console())
+    show_problems(results.problems)
+    show_sensitivity(table)
     return int(bool(results.problems))
 
 
 def _claims(experiments: list[Path]) -> int:
-    try:
-        claims = write_claims(experiments)
-    except (ValueError, OSError) as error:
-        return _refused(error)
-    show_claims(claims, console())
+    claims = write_claims(experiments)
+    show_claims(claims)
     problems = [problem for folder in experiments for problem in read_results(folder).problems]
-    show_problems(problems, console())
+    show_problems(problems)
     show_findings(claims_in_words(claims))
     return int(bool(problems))
 
@@ -106,6 +97,10 @@ def write_claims(experiments: list[Path]) -> pd.DataFrame:
     return judged
 
 
-def _refused(error: Exception) -> int:
-    say(one_line(f"tdgbench tables: {error}"), stderr=True)
-    return 1
+def _status(build: Callable[[], int]) -> int:
+    """Build something; return the exit status, which is 1 for what cannot be read."""
+    try:
+        return build()
+    except (ValueError, OSError) as error:
+        say(one_line(f"tdgbench tables: {error}"), stderr=True)
+        return 1

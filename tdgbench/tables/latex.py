@@ -99,9 +99,7 @@ def main_table(rows: pd.DataFrame) -> str:
 def ablation_table(rows: pd.DataFrame) -> str:
     """Return a `tabular` as the paper's Table 2: methods × inits down, PSNR / SSIM of views and models across.
 
-    Several kinds of random points are named.
-
-    rows: method, init, metric, value, bold, points.
+    Several kinds of random points are named. rows: method, init, metric, value, bold, points.
     """
     several = sum(str(init).startswith("random") for init in rows["init"].unique()) > 1
     parts = " & ".join(MEASURES[psnr].images or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import asdict
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -83,17 +84,16 @@ def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -
 
 def with_protocols(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
     """Return the rows with `split` and `protocol` of their cells (`a + b` for an average over both)."""
-    found: dict[tuple[str, str], dict[tuple[str, str], set[str]]] = {}
-    for record in records:
-        for name in ("split", "protocol"):
-            of_method = found.setdefault((name, method_label(record, with_init=True)), {})
-            of_method.setdefault((record.dataset, record.scene), set()).add(getattr(record, name))
+    cells = [(method_label(record, with_init=True), record) for record in records]
 
+    @cache
     def joined(name: str, method: str, dataset: str, scene: str) -> str:
-        by_scene = found.get((name, method), {})
+        of_method = [record for label, record in cells if label == method]
         if scene not in (AVERAGE, OVERALL):
-            return " + ".join(sorted(by_scene.get((dataset, scene), set())))
-        return " + ".join(sorted({s for (d, _), names in by_scene.items() if dataset in ("", d) for s in names}))
+            chosen = [r for r in of_method if (r.dataset, r.scene) == (dataset, scene)]
+        else:
+            chosen = [r for r in of_method if dataset in ("", r.dataset)]
+        return " + ".join(sorted({getattr(r, name) for r in chosen}))
 
     places = [(r.method, r.dataset, r.scene) for r in rows.itertuples()]
     return rows.assign(**{name: [joined(name, *place) for place in places] for name in ("split", "protocol")})
@@ -124,21 +124,14 @@ def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
 
 def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
     """Mark the best method of each row of the table. Values that print the same are a tie, which has no mark."""
-    rows = rows.copy()
-    rounded = [
-        np.nan if np.isnan(v) else round(v, digits(metric, scene))
-        for v, metric, scene in zip(rows["value"], rows["metric"], rows["scene"], strict=True)
+    goodness = [
+        round(r.value, digits(r.metric, r.scene)) * (1 if MEASURES[r.metric].higher_is_better else -1)
+        for r in rows.itertuples()
     ]
-    rows["bold"] = False
-    for (_, _, metric), group in pd.Series(rounded, rows.index).groupby(
-        [rows["dataset"], rows["scene"], rows["metric"]], sort=False
-    ):
-        known = group.dropna()
-        best = known.max() if MEASURES[str(metric)].higher_is_better else known.min()
-        winners = known.index[known == best]
-        if len(known) > 1 and len(winners) == 1:
-            rows.loc[winners, "bold"] = True
-    return rows[[*KEYS, "value", "bold", *(["reason"] if "reason" in rows else [])]]
+    by_row = pd.Series(goodness, rows.index, dtype=float).groupby([rows["dataset"], rows["scene"], rows["metric"]])
+    is_first = by_row.rank(method="max", ascending=False) == 1
+    bold = rows.assign(bold=is_first & (by_row.transform("count") > 1))
+    return bold[[*KEYS, "value", "bold", *(["reason"] if "reason" in rows else [])]]
 
 
 def initial_points(ablation: pd.DataFrame) -> list[str]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from decimal import Decimal
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -16,29 +14,9 @@ FOLDER = paper_tables_folder()
 PAPER = "tdg"  # the source whose tables are reproduced
 
 
-@dataclass(frozen=True)
-class PublishedSource:
-    """A paper or page with numbers.
-
-    selected_on: what chose the models that were scored. methods: by printed name, our method (`as`), whether the source
-    settles it (`sure`), and a `note`.
-    """
-
-    title: str
-    authors: str
-    where: str
-    file: str
-    note: str = ""
-    selected_on: str = "not known here"
-    methods: dict[str, dict[str, Any]] = field(default_factory=dict)
-
-
 def published_main() -> pd.DataFrame:
     """Read Table 1: method, dataset, group, scene, metric, value, bold. Scenes of averages contain `Average`."""
-    table = pd.read_csv(FOLDER / "table1.csv", keep_default_na=False)
-    table["value"] = table["value"].astype(float)
-    table["bold"] = table["bold"].astype(str).str.lower() == "true"
-    return table
+    return pd.read_csv(FOLDER / "table1.csv", keep_default_na=False)
 
 
 def published_ablation() -> pd.DataFrame:
@@ -46,10 +24,14 @@ def published_ablation() -> pd.DataFrame:
     return pd.read_csv(FOLDER / "table2.csv")
 
 
-def load_sources(path: Path = FOLDER / "sources.yaml") -> dict[str, PublishedSource]:
-    """Load the sources of the numbers, by their name in the CSV files."""
-    entries: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
-    return {name: PublishedSource(**entry) for name, entry in entries.items()}
+def load_sources() -> dict[str, dict[str, Any]]:
+    """Load the papers and pages with numbers, by their name in the CSV files.
+
+    selected_on: what chose the models that were scored. methods: by printed name, our method (`as`), whether the source
+    settles it (`sure`), and a `note`.
+    """
+    entries: dict[str, Any] = OmegaConf.to_container(OmegaConf.load(FOLDER / "sources.yaml"))  # type: ignore[assignment]
+    return {name: {"selected_on": "not known here", "methods": {}, **entry} for name, entry in entries.items()}
 
 
 def published_elsewhere() -> pd.DataFrame:
@@ -58,15 +40,14 @@ def published_elsewhere() -> pd.DataFrame:
     method is our name where sources.yaml has one, else the printed name (printed_as). Averages are rows with the scene
     `Average`. Raises ValueError for a source that sources.yaml lacks.
     """
-    table = pd.read_csv(FOLDER / "others.csv", keep_default_na=False, dtype=str)
+    table = pd.read_csv(FOLDER / "others.csv", keep_default_na=False)
     sources = load_sources()
     unknown = set(table["source"]) - set(sources)
     if unknown:
         raise ValueError(f"{FOLDER / 'sources.yaml'} lacks {', '.join(sorted(unknown))}")
-    table["value"] = table["value"].astype(float)
     table["printed_as"] = table["method"]
     table["method"] = [
-        sources[source].methods.get(method, {}).get("as", method)
+        sources[source]["methods"].get(method, {}).get("as", method)
         for source, method in zip(table["source"], table["method"], strict=True)
     ]
     return table.assign(group="")[["source", "method", "dataset", "group", "scene", "metric", "value", "printed_as"]]

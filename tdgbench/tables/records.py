@@ -30,7 +30,11 @@ def read_results(experiment: Path) -> Results:
     Of runs without a name, only the cells of the last run's scenes are returned.
     """
     problems: list[str] = []
-    plan = _read_plan(experiment, problems)
+    try:
+        plan = read_plan(experiment)
+    except (OSError, ValueError) as error:
+        plan = Plan()
+        problems.append(f"{error}; tables show the cells that have records")
     by_folder: dict[Path, Record] = {}
     for folder, record in read_each(experiment):
         if record.failure is not None and record.failure.phase == READ_PHASE:
@@ -74,22 +78,11 @@ def _of_one_protocol(records: list[Record], problems: list[str]) -> list[Record]
     return [apart.get(record.title, record) for record in records]
 
 
-def _read_plan(experiment: Path, problems: list[str]) -> Plan:
-    """Return the plan; without one, or with a broken one, the default plan."""
-    try:
-        return read_plan(experiment)
-    except (OSError, ValueError) as error:
-        problems.append(f"{error}; tables show the cells that have records")
-        return Plan()
-
-
 def _view_problems(folder: Path, record: Record) -> list[str]:
     """Return the problem of a finished cell's views.csv, if it is there but unusable."""
     try:
-        if record.failure is None:
+        if record.failure is None and (folder / "views.csv").exists():
             read_views(folder / "views.csv")
-    except FileNotFoundError:
-        pass
     except ValueError as error:
         return [f"{folder / 'views.csv'} cannot be read: {error}; its scores have no interval ({FILE} has the scores)"]
     return []

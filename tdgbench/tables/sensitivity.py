@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import pandas as pd
@@ -38,8 +38,7 @@ Weights = Mapping[str, str]  # file by network
 _NO_WEIGHTS: Weights = {}
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(NamedTuple):
     """One way to compute a score: its value of a test view, and of a cell from the views' values (N,)."""
 
     of_view: Callable[[ImagePair], float]
@@ -56,7 +55,7 @@ def choices(record: Record, weights: Weights) -> dict[str, dict[str, Choice]]:
     return {
         "psnr": {
             RECORDED: Choice(psnr),
-            "of the mean squared error of all views": Choice(psnr, _of_mean_error),
+            "of the mean squared error of all views": Choice(psnr, lambda dB: psnr_of((10 ** (-dB / 10)).mean())),
             "mean over channels": Choice(lambda pair: channel_psnr(*pair.pixels)),
             "after gain and offset": Choice(lambda pair: psnr_affine(*pair.pixels)),
             "of images half as wide": Choice(lambda pair: psnr(halved(pair))),
@@ -84,52 +83,42 @@ def sensitivity(cells: Iterable[Cell], weights: Weights = _NO_WEIGHTS) -> pd.Dat
     method, initial points or variant, on one scene with one seed. reversed: in which the other cell is better now.
     other_best: scenes and seeds in which another cell is the best one. reason: why a convention has no values.
     """
+    cells = list(cells)
+    if not cells:
+        raise ValueError("no finished cell")
     scored = [_scores(cell, weights) for cell in cells]
-    names = {tuple(name for by_name in one.values.values() for name in by_name) for one in scored}
-    if len(names) != 1:
-        raise ValueError(
-            "its cells were scored by several conventions; run them again with one choice of metrics="
-            if names
-            else "no finished cell"
-        )
+    if len({tuple(values) for values, _ in scored}) > 1:
+        raise ValueError("its cells were scored by several conventions; run them again with one choice of metrics=")
     rows = []
-    for score, by_name in scored[0].values.items():
-        for name in list(by_name)[1:]:
-            reasons = [one.reasons[score, name] for one in scored if (score, name) in one.reasons]
-            if reasons:
-                rows.append([score, name, 0, np.nan, np.nan, 0, 0, 0, reasons[0]])
-                continue
-            before, after = (np.array([one.values[score][key] for one in scored]) for key in (RECORDED, name))
-            change = after - before
+    for score, name in scored[0][0]:
+        if name == RECORDED:
+            continue
+        reasons = [why[score, name] for _, why in scored if (score, name) in why]
+        before, after = (np.array([values[score, key] for values, _ in scored]) for key in (RECORDED, name))
+        change = after - before
+        if reasons:
+            rows.append([score, name, 0, np.nan, np.nan, 0, 0, 0, reasons[0]])
+        else:
             rows.append([
-                score, name, len(scored), change.mean(), change[np.abs(change).argmax()],
-                *_order_changes([one.cell for one in scored], score, before, after), "",
+                score, name, len(cells), change.mean(), change[np.abs(change).argmax()],
+                *_order_changes(cells, score, before, after), "",
             ])  # fmt: skip
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-@dataclass(frozen=True)
-class _Scores:
-    """A cell's values by score and convention, NaN where there is none, and the reasons for these."""
-
-    cell: Cell
-    values: dict[str, dict[str, float]]
-    reasons: dict[tuple[str, str], str]
-
-
-def _scores(cell: Cell, weights: Weights) -> _Scores:
-    found = _Scores(cell, {}, {})
-    ways = choices(cell.record, weights)
+def _scores(cell: Cell, weights: Weights) -> tuple[dict[tuple[str, str], float], dict[tuple[str, str], str]]:
+    """Return a cell's values by score and convention, NaN where there is none, and the reasons for these."""
+    values, reasons = {}, {}
     pairs = list(stored_pairs(cell.folder, _scorer(cell.record, weights).settings))
-    for score, by_name in ways.items():
-        found.values[score] = dict.fromkeys(by_name, np.nan)
+    for score, by_name in choices(cell.record, weights).items():
         for name, choice in by_name.items():
+            values[score, name] = np.nan
             try:
                 of_views = np.array([choice.of_view(pair) for pair in pairs])
-                found.values[score][name] = float(choice.of_cell(of_views))
+                values[score, name] = float(choice.of_cell(of_views))
             except NotApplicableError as error:
-                found.reasons[score, name] = str(error)
-    return found
+                reasons[score, name] = str(error)
+    return values, reasons
 
 
 def _order_changes(cells: list[Cell], score: str, before: np.ndarray, after: np.ndarray) -> tuple[int, int, int]:
@@ -192,11 +181,6 @@ def _scorer(record: Record, weights: Weights, lpips_range: Range | None = None, 
 
 
 _shared = cache(Scorer)  # loads its network once for all cells
-
-
-def _of_mean_error(values: np.ndarray) -> float:
-    """Return the PSNR (dB) of the mean squared error of views with these PSNR."""
-    return psnr_of(float(np.mean(10 ** (-values / 10))))
 
 
 def _uniform_ssim(pair: ImagePair) -> float:

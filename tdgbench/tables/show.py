@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -14,38 +13,38 @@ from tdgbench.tables.long_table import initial_points, protocol_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, MEASURES, OVERALL, PUBLISHED, as_text
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import verdicts_in_words
-from tdgbench.terminal import say
+from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
 PROSE = 60  # characters of a column of sentences where there is no terminal, and so no width to share
 
 
-def show_tables(tables: Tables, console: Console) -> None:
+def show_tables(tables: Tables) -> None:
     """Print the main table and its differences from the published one; `show_findings` follows."""
     if tables.kind == "ablation":
-        _show_ablation(tables, console)
+        _show_ablation(tables)
     elif tables.readings is not None and tables.effects is not None:
-        _show_readings(tables.readings, tables.effects, console)
+        _show_readings(tables.readings, tables.effects)
     else:
-        _show_main(tables, console)
+        _show_main(tables)
         for note in protocol_notes(tables.main):
-            _say(console, note)
-    _show_reasons(tables, console)
-    show_problems(tables.problems, console)
+            say(one_line(note))
+    _show_reasons(tables)
+    show_problems(tables.problems)
     if tables.difference is not None:
         known = tables.difference["difference"].notna()
         counted = f"{int(known.sum())} of {len(known)} published numbers have one of ours beside them"
-        _say(console, f"{counted}; differences: {tables.folder / 'difference.csv'}", soft_wrap=False)
+        say(f"{counted}; differences: {tables.folder / 'difference.csv'}")
         for metric, group in tables.difference[known].groupby("metric", sort=False):
             gap = group["difference"]
             text = f"  {metric}: ours − published {gap.min():+.3f} to {gap.max():+.3f}, mean {gap.mean():+.3f}"
-            _say(console, f"{text}; {verdicts_in_words(group)}")
+            say(f"{text}; {verdicts_in_words(group)}")
 
 
-def show_claims(claims: pd.DataFrame, console: Console) -> None:
+def show_claims(claims: pd.DataFrame) -> None:
     """Print each claim with its findings on the published table and on our results."""
     colors = {HOLDS: "green", FAILS: "red", UNDECIDED: "dim"}
-    widest = None if console.is_terminal else PROSE
+    widest = None if console().is_terminal else PROSE
     heads = ("claim", "published table", "our results")
     table = Table(*(Column(head, max_width=widest) for head in heads), show_lines=True)
     for row in claims.to_dict("records"):
@@ -53,10 +52,10 @@ def show_claims(claims: pd.DataFrame, console: Console) -> None:
             Text.assemble((row[side], colors[row[side]]), f": {row[f'{side}_seen']}") for side in ("published", "ours")
         ]
         table.add_row(Text(f"{row['paper']}: {row['said']}"), *sides)
-    console.print(table)
+    console().print(table)
 
 
-def show_sensitivity(sensitivity: pd.DataFrame, console: Console) -> None:
+def show_sensitivity(sensitivity: pd.DataFrame) -> None:
     """Print how far each convention moves the scores, and what it changes in the order of methods."""
     table = Table("score", "convention", "change: mean", "largest", "reversed pairs", "other best")
     for row in sensitivity.to_dict("records"):
@@ -68,9 +67,9 @@ def show_sensitivity(sensitivity: pd.DataFrame, console: Console) -> None:
         table.add_row(
             label, row["convention"], *changes, f"{row['reversed']} of {row['pairs']}", str(row["other_best"])
         )
-    console.print(table)
+    console().print(table)
     for reason in sensitivity.loc[sensitivity["reason"] != "", "reason"].unique():
-        _say(console, f"n/a: {reason}")
+        say(one_line(f"n/a: {reason}"))
 
 
 def show_findings(findings: list[str]) -> None:
@@ -79,15 +78,10 @@ def show_findings(findings: list[str]) -> None:
         say(sentence, "found:", "bold")
 
 
-def show_problems(problems: list[str], console: Console) -> None:
+def show_problems(problems: list[str]) -> None:
     """Print what could not be read."""
     for problem in problems:
-        console.print(Text.assemble(("problem:", "red"), " ", one_line(problem)), soft_wrap=True)
-
-
-def _say(console: Console, text: str, soft_wrap: bool = True) -> None:
-    """Print one line of plain text."""
-    console.print(Text(one_line(text)), soft_wrap=soft_wrap)
+        say(one_line(problem), "problem:")
 
 
 def _name(name: object) -> Text:
@@ -95,7 +89,7 @@ def _name(name: object) -> Text:
     return Text(one_line(str(name)))
 
 
-def _show_main(tables: Tables, console: Console) -> None:
+def _show_main(tables: Tables) -> None:
     main = tables.main
     columns = list(dict.fromkeys(main["method"]))
     table = Table("scene", "method")
@@ -113,10 +107,10 @@ def _show_main(tables: Tables, console: Console) -> None:
                 cells.append(Text(text, "bold" if row.bold else ""))
             title = scene if method == columns[0] else ""
             table.add_row(_name(title), _name(method), *cells, end_section=method == columns[-1])
-    console.print(table)
+    console().print(table)
 
 
-def _show_ablation(tables: Tables, console: Console) -> None:
+def _show_ablation(tables: Tables) -> None:
     described = [MEASURES[metric] for metric in ABLATION]
     heads = (metric.column + (f", {metric.images}" if metric.images else "") for metric in described)
     table = Table("method", "initial points", *heads)
@@ -124,12 +118,12 @@ def _show_ablation(tables: Tables, console: Console) -> None:
         values = group.set_index("metric")["value"]
         texts = ["n/a" if np.isnan(values[m]) else as_text(m, values[m], OVERALL) for m in ABLATION]
         table.add_row(_name(method), _name(init), *texts)
-    console.print(table)
+    console().print(table)
     for origin in initial_points(tables.main):
-        _say(console, origin)
+        say(one_line(origin))
 
 
-def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Console) -> None:
+def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame) -> None:
     """Print averages by method and length, then the change of each difference, with its 95 % interval over seeds.
 
     Single scenes are in readings.csv and effects.csv.
@@ -141,16 +135,16 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame, console: Conso
         values = group.groupby("metric")["value"].mean()
         texts = [as_text(m, values[m], str(scene)) if m in values else "n/a" for m in SHOWN]
         table.add_row(_name(method), str(iterations), _name(scene), *texts)
-    console.print(table)
+    console().print(table)
     heads, rows = changes_as_text(effects)
     table = Table(*heads)
     for row in rows:
         table.add_row(*(_name(text) for text in row))
-    console.print(table)
+    console().print(table)
 
 
-def _show_reasons(tables: Tables, console: Console) -> None:
+def _show_reasons(tables: Tables) -> None:
     missing = tables.main[tables.main["value"].isna() & tables.main["metric"].isin(PUBLISHED)]
     for reason, group in missing.groupby("reason", sort=False):
         metrics = ", ".join(MEASURES[metric].label for metric in dict.fromkeys(group["metric"]))
-        _say(console, f"n/a ({len(group)} × {metrics}): {reason}")
+        say(one_line(f"n/a ({len(group)} × {metrics}): {reason}"))

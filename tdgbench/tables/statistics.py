@@ -139,13 +139,10 @@ def paired_tests(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
             continue
         both = wide[list(pair)].dropna()
         gains = gain(str(metric), both[pair.method], both[pair.baseline])
-        tested = len(gains) >= 5 and bool((gains != 0).any())  # with fewer, no outcome could be below 5 %
-        p = _signed_rank_p(gains) if tested else float("nan")
+        p = float("nan")
+        if len(gains) >= 5 and (gains != 0).any():  # with fewer, no outcome could be below 5 %
+            from scipy.stats import wilcoxon  # takes half a second to import, and most runs do without
+
+            p = float(wilcoxon(gains, alternative="greater").pvalue)
         rows.append({"metric": metric, "scenes": len(gains), "better": int((gains > 0).sum()), "p": p})
     return pd.DataFrame(rows, columns=["metric", "scenes", "better", "p"])
-
-
-def _signed_rank_p(gains: pd.Series) -> float:
-    from scipy.stats import wilcoxon  # takes half a second to import, and most runs do without
-
-    return float(wilcoxon(gains, alternative="greater").pvalue)

@@ -77,7 +77,7 @@ def test_every_experiment_file_names_an_experiment(name):
 
 
 def test_a_target_that_is_no_experiment_is_named():
-    with pytest.raises(TypeError, match=r"study\._target_ is pathlib\.Path, no"):
+    with pytest.raises(OptionError, match=r"study\._target_=pathlib\.Path: cannot be loaded: it is no"):
         experiment_of(OmegaConf.create({"study": {"_target_": "pathlib.Path"}}))
 
 

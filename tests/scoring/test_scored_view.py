@@ -29,7 +29,7 @@ def test_reasons_why_there_is_nothing_to_compare(small_scene):
     with pytest.raises(NotApplicableError, match="trains no RGB model"):
         shown(small_scene, view, others={}).pair("rgb")
     with pytest.raises(NotApplicableError, match="another size"):
-        shown(small_scene, view, depth=np.ones((2, 2))).true_depth()
+        shown(small_scene, view, depth=np.ones((2, 2))).depths()
     with pytest.raises(NotApplicableError, match="one test view"):
         ScoredView(view, shown(small_scene, view).rendered, CONVENTION).nearest_test_view()
 

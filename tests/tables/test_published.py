@@ -77,13 +77,13 @@ def test_ablation_repeats_the_overall_averages():
 
 def test_every_number_of_others_has_its_source():
     table, sources = published_elsewhere(), load_sources()
-    assert set(table["source"]) == {name for name, s in sources.items() if s.file == "others.csv"}
-    assert sources[PAPER].file == "table1.csv" and all(s.title and s.where for s in sources.values())
+    assert set(table["source"]) == {name for name, s in sources.items() if s["file"] == "others.csv"}
+    assert sources[PAPER]["file"] == "table1.csv" and all(s["title"] and s["where"] for s in sources.values())
     assert not table.duplicated(["source", "printed_as", "scene", "metric"]).any()
     assert len(table) == 5 * 3 * 11 + 9 and table["value"].notna().all()
     for name, source in sources.items():  # an entry for a method that is not printed would be a typing error
-        assert set(source.methods) <= set(table[table["source"] == name]["printed_as"])
-        assert all(set(entry) == {"as", "sure", "note"} for entry in source.methods.values())
+        assert set(source["methods"]) <= set(table[table["source"] == name]["printed_as"])
+        assert all(set(entry) == {"as", "sure", "note"} for entry in source["methods"].values())
 
 
 def test_scenes_of_others_have_our_names():

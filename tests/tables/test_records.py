@@ -4,13 +4,11 @@ import json
 import os
 import shutil
 from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from tdgbench.bench.plan import Plan
 from tdgbench.bench.record import FILE, Failure
@@ -139,7 +137,7 @@ def test_settings_of_any_type_do_not_end_the_tables(experiment):
         path.write_text(json.dumps(content))
     for kind in ("readings", "ablation", "main"):
         Plan(kind, scenes=[ORBIT, NIGHT], methods=["tdg"], inits=["colmap"]).write(experiment)
-        show_tables(build_tables(experiment), Console(file=StringIO()))
+        show_tables(build_tables(experiment))
 
 
 def test_claims_go_on_without_a_broken_record(experiment, capsys):

@@ -4,9 +4,6 @@ import os
 import re
 import subprocess
 import sys
-from io import StringIO
-
-from rich.console import Console
 
 from tdgbench.scenes.registry import SCENES
 from tdgbench.tables.build import build_tables
@@ -15,11 +12,10 @@ from tests.helpers.paths import ROOT
 from tests.helpers.records import published_as_records, write
 
 
-def test_prints_numbers_reasons_and_differences(tmp_path):
+def test_prints_numbers_reasons_and_differences(tmp_path, capsys):
     write(tmp_path, scores={"lpips": None}, missing={"lpips": "no backbone"})
-    out = StringIO()
-    show_tables(build_tables(tmp_path), Console(file=out, width=120))
-    text = out.getvalue()
+    show_tables(build_tables(tmp_path))
+    text = capsys.readouterr().out
     assert "20.00" in text and "0:06:00" in text and "no backbone" in text
     assert "3 of 136 published numbers" in text and "psnr: ours − published -6.280" in text
     assert "1 undecided (unknown for 1)" in text

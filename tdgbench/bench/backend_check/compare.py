@@ -147,6 +147,4 @@ def _relative(got: Tensor, want: Tensor, floor: Tensor) -> Tensor:
 
 def _largest(values: Tensor) -> float:
     """Return the largest value; NaN if any value is NaN, 0 if there are no values."""
-    if values.numel() == 0:
-        return 0.0
-    return float("nan") if bool(values.isnan().any()) else values.max().item()
+    return values.max().item() if values.numel() else 0.0

@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import NonNegativeInt, PositiveFloat, PositiveInt
 
 from tdgbench.scenes import PointCloud, Scene, SceneError
+from tdgbench.splats.harmonics import C0
 
 
 class RandomPoints:
@@ -62,13 +63,12 @@ class ReleasedCube(RandomPoints):
     kind = "random_released"
     where = "a cube of half side 1.3 around the origin, whatever the scene's scale, near-gray"
     half_side = 1.3
-    sh_c0 = 0.28209479177387814  # band 0 of the spherical harmonics
 
     def box(self, scene: Scene) -> np.ndarray:
         return np.stack([np.full(3, -self.half_side), np.full(3, self.half_side)])
 
     def colors(self, rng: np.random.Generator) -> np.ndarray:
-        colors = rng.uniform(0, 1, (self.count, 3)) / 255 * self.sh_c0 + 0.5
+        colors = rng.uniform(0, 1, (self.count, 3)) / 255 * C0 + 0.5
         return (np.floor(colors * 255) / 255).astype(np.float32)
 
 

@@ -31,7 +31,6 @@ class Stress(Experiment):
     options = StressOptions
 
     def run(self, cfg: DictConfig) -> None:
-        """Run the cases that `cfg.study.cases` chooses. Raises SystemExit(1) if any case is a surprise."""
         self.check(cfg)
         pool.set_threads(cfg.threads)
         torch.set_num_threads(1)

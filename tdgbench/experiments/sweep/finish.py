@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
-from typing import get_args
 
 from omegaconf import DictConfig
 
-from tdgbench.bench.outcome import Outcome, Status
+from tdgbench.bench.outcome import SUCCESS, Outcome
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show_findings, show_tables
-from tdgbench.terminal import console, say
-
-FAILED = ("failed", "missing", "no prior")
+from tdgbench.terminal import say
 
 
 def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
@@ -38,7 +36,7 @@ def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     show_findings(findings)
     if problem is not None:
         say(f"cannot write tables and report: {problem}; the cells are complete", "error:")
-    if problem is not None or any(outcome.status in FAILED for outcome in outcomes):
+    if problem is not None or any(outcome.status not in SUCCESS for outcome in outcomes):
         raise SystemExit(1)
 
 
@@ -48,7 +46,7 @@ def count_outcomes(outcomes: list[Outcome]) -> str:
     >>> count_outcomes([Outcome("ok", "tdg on a"), Outcome("kept", "tdg on b"), Outcome("kept", "tdg on c")])
     '1 cell run, 2 already there, 0 failed, 0 without data'
     """
-    count = {s: sum(o.status == s for o in outcomes) for s in get_args(Status)}
+    count = Counter(outcome.status for outcome in outcomes)
     parts = [
         f"{_cells(count['ok'])} run",
         f"{count['kept']} already there",
@@ -65,7 +63,7 @@ def _cells(count: int) -> str:
 def write_all(experiment: Path) -> list[str]:
     """Write and print tables, pictures and report of all cells on disk; return the findings in sentences."""
     tables = build_tables(experiment)
-    show_tables(tables, console())
+    show_tables(tables)
     say(f"tables: {tables.folder}")
     if draw_strip(tables.records, experiment, experiment / "strip.png"):
         say(f"pictures: {experiment / 'strip.png'}")

@@ -19,9 +19,7 @@ from tdgbench.terminal import say
 def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
     """Write the plan of a sweep, and print the number of its cells, all missing scenes, and missing priors.
 
-    Returns the number of cells, and of those whose scene is not on disk.
-
-    Raises SystemExit(1) for an unknown scene.
+    Returns the number of cells, and of those whose scene is not on disk. Raises SystemExit(1) for an unknown scene.
     """
     dataset = instantiate(cfg.dataset.loader)
     options = swept(cfg)

@@ -149,11 +149,8 @@ def read_outcomes(hydra_folder: Path, jobs: int | None = None) -> list[Outcome]:
 
 def numbered_outcomes(hydra_folder: Path) -> dict[int, Outcome]:
     """Return the outcomes of the jobs that have ended, by number; that of a single run has the number -1."""
-    return {_number(path): _read(path) for path in hydra_folder.rglob(OUTCOME)}
-
-
-def _number(path: Path) -> int:
-    return int(path.parent.name) if path.parent.name.isdigit() else -1
+    found = {path.parent.name: _read(path) for path in hydra_folder.rglob(OUTCOME)}
+    return {int(job) if job.isdigit() else -1: outcome for job, outcome in found.items()}
 
 
 def _read(path: Path) -> Outcome:

@@ -24,10 +24,10 @@ def depth_inconsistency(
     pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(len(z))], axis=1)
     local = pixels @ np.linalg.inv(camera.K).T * z[:, None]
     world = (local - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
-    there, projected = other_camera.project(world)
-    x, y = (np.floor(np.nan_to_num(there[:, i], nan=-1.0, posinf=-1.0, neginf=-1.0)).astype(int) for i in (0, 1))
-    inside = (projected > 0) & (x >= 0) & (x < other_camera.width) & (y >= 0) & (y < other_camera.height)
-    there = other_depth[y[inside], x[inside]]
+    pixels, projected = other_camera.project(world)
+    inside = other_camera.holds(pixels, projected)
+    x, y = pixels[inside].astype(int).T
+    there = other_depth[y, x]
     known = there > 0
     if known.sum() < MIN_OVERLAP * depth.size:
         return None

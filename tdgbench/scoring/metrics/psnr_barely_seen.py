@@ -7,7 +7,7 @@ import numpy as np
 from tdgbench.scoring.metric import ViewMetric
 from tdgbench.scoring.metrics.barely_seen import is_barely_seen
 from tdgbench.scoring.metrics.guess_correlation import seen_pixels
-from tdgbench.scoring.metrics.psnr import MAX_PSNR, psnr_of
+from tdgbench.scoring.metrics.psnr import IN_DB, psnr_of
 from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
 
 
@@ -25,10 +25,7 @@ METRIC = ViewMetric(
     label="PSNR, barely seen",
     meaning="PSNR over all barely-seen pixels of the test views",
     order=124,
-    unit="dB",
-    digits=2,
-    higher_is_better=True,
-    limits=(0.0, MAX_PSNR),
+    **IN_DB,
     needs="Gaussians, barely-seen pixels",
     of_view=lambda shown: psnr_where(shown, barely=True),
 )

@@ -18,8 +18,6 @@ from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
 Collect = Callable[[Gradients | PendingGradients], None]
-
-
 Hook = Callable[[Gaussians, int], GaussianTensors]  # arguments: the Gaussians and the SH degree in use
 
 
@@ -40,6 +38,14 @@ class StateOptions(NamedTuple):
         return RenderOptions(self.depth, self.background, self.blending, self.absgrad)
 
 
+def installed_version(package: str) -> str | None:
+    """Return the version of a package; None if it is not installed, or its files name none."""
+    try:
+        return importlib.metadata.version(package)
+    except (importlib.metadata.PackageNotFoundError, ValueError):
+        return None
+
+
 class Backend(Protocol):
     """Renders Gaussians. The module `tdgbench.splats.backends.<name>` holds one as `BACKEND`.
 
@@ -49,11 +55,12 @@ class Backend(Protocol):
 
     device: str = "cpu"  # type of the device on which it trains
     inputs: str = "any float tensors"  # supported tensors, for error messages
+    devices: tuple[str, ...] = ()  # types of those whose float32 tensors it renders; empty: any tensors
     package: str = ""  # the package that it runs with, if it is an extra
 
     def takes(self, device: torch.device, dtype: torch.dtype) -> bool:
         """Return whether it renders tensors of a device and type."""
-        return True
+        return not self.devices or (device.type in self.devices and dtype == torch.float32)
 
     def why_not(self) -> str | None:
         """Return why it cannot run on this machine, or None."""
@@ -61,10 +68,7 @@ class Backend(Protocol):
 
     def version(self) -> str | None:
         """Return the version of its package; None if that is not installed, or its files name none."""
-        try:
-            return importlib.metadata.version(self.package)
-        except (importlib.metadata.PackageNotFoundError, ValueError):
-            return None
+        return installed_version(self.package)
 
     def constants(self, packages: Mapping[str, str | None] | None = None) -> Blending | None:
         """Return the fixed blending constants of the backend; None if it uses the requested ones.

@@ -97,9 +97,7 @@ class CpuBackend(Backend):
     """Float32 on the CPU. States in training are rendered without autograd: gradients and steps of some rows only."""
 
     inputs = "float32 tensors on the CPU"
-
-    def takes(self, device: torch.device, dtype: torch.dtype) -> bool:
-        return device.type == "cpu" and dtype == torch.float32
+    devices = ("cpu",)
 
     def compiling(self, channels: set[int]) -> AbstractContextManager[None]:
         return compiled_alongside(channels)

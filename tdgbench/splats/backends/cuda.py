@@ -34,9 +34,7 @@ class CudaBackend(Backend):
     device = "cuda"
     package = "gsplat"
     inputs = "float32 tensors on a CUDA GPU"
-
-    def takes(self, device: torch.device, dtype: torch.dtype) -> bool:
-        return device.type == "cuda" and dtype == torch.float32
+    devices = ("cuda",)
 
     def why_not(self) -> str | None:
         if importlib.util.find_spec("gsplat") is None:

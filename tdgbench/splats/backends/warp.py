@@ -16,15 +16,13 @@ class WarpBackend(Backend):
     """Float32 on a CUDA GPU, or on the CPU where there is none."""
 
     inputs = "float32 tensors on the CPU or a CUDA GPU"
+    devices = ("cpu", "cuda")
     package = "warp-lang"
 
     @property
     def device(self) -> str:  # type: ignore[override]
         """Type of the device on which it trains."""
         return "cuda" if torch.cuda.is_available() else "cpu"
-
-    def takes(self, device: torch.device, dtype: torch.dtype) -> bool:
-        return device.type in ("cpu", "cuda") and dtype == torch.float32
 
     def why_not(self) -> str | None:
         return import_problem(torch.cuda.is_available())

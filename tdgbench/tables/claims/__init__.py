@@ -45,17 +45,12 @@ def load_claims(path: Path = FOLDER / "claims.yaml") -> list[Claim]:
     """Load the claims. Raises ValueError for one without id, words, a known check, known quantities or their reason."""
     claims: list[Claim] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
     for claim in claims:
-        name = claim.get("id", "?")
-        missing = {"id", "said", "where", "check"} - set(claim)
-        if missing:
-            raise ValueError(f"{path}: claim {name} lacks {', '.join(sorted(missing))}")
-        if claim["check"] not in CHECKS:
-            raise ValueError(f"{path}: claim {name} has an unknown check {claim['check']!r}")
-        unknown = set(claim.get("margins", {})) - set(QUANTITIES)
-        if unknown:
-            raise ValueError(f"{path}: claim {name} has margins of unknown quantities: {', '.join(sorted(unknown))}")
-        if "margins" in claim and not claim.get("reason"):
-            raise ValueError(f"{path}: claim {name} has margins without a reason")
+        needed = {"id", "said", "where", "check", *(["reason"] if "margins" in claim else [])}
+        faults = [f"lacks {key}" for key in sorted(needed - set(claim))]
+        names = {claim.get("check"), *claim.get("margins", {})} - {None, *CHECKS, *QUANTITIES}
+        faults += [f"names {name!r}, which is no check or quantity" for name in sorted(names)]
+        if faults:
+            raise ValueError(f"{path}: claim {claim.get('id', '?')} {' and '.join(faults)}")
     return claims
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, TypedDict
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -21,43 +21,16 @@ from tdgbench.tables.records import read_results
 HOLDS, FAILS, UNDECIDED = "holds", "fails", "undecided"
 
 
-class Claim(TypedDict, total=False):
-    """A claim of `paper_tables/claims.yaml`: its words, its check, and the numbers that the check reads.
-
-    Numbers in quotes there are as printed, with the digits that are known. All claims have id, said, where and check.
-    """
-
-    id: str
-    said: str
-    where: str
-    check: str
-    gain: Literal["overall"]  # compare it with the spread between papers
-    metric: str
-    metrics: list[str]
-    dataset: str | None
-    methods: list[str]
-    against: list[str]
-    better: Literal["colmap", "random"]
-    margins: dict[str, float]  # least gain by quantity: a difference, or a share for ratios
-    reason: str  # of the margins
-    unprinted: str  # the number that the paper does not print
-    note: str  # follows our finding
-    percent: str
-    minutes: str
-    exceptions: dict[str, int]  # number of scenes by metric
-    most: float
-    drop: float  # dB
-    share: float
-    level: float  # 0 to 1, of the way to the worse run's best
-    window: float  # share of the iterations
+# A claim of `paper_tables/claims.yaml`: its words, its check, and the numbers that the check reads, which its docstring
+# names. Numbers in quotes there are as printed, with the digits that are known.
+Claim = dict[str, Any]
 
 
 class MissingError(Exception):
     """The evidence lacks a number that a claim needs."""
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """The verdict on a claim, and its grounds in words."""
 
     verdict: str

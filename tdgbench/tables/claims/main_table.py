@@ -5,7 +5,7 @@ A printed number is known to half a unit of its last digit.
 
 from __future__ import annotations
 
-from typing import cast
+import itertools
 
 import pandas as pd
 
@@ -65,8 +65,7 @@ def averages(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the averages of `metric` are those that the claim gives by method."""
     _of_paper(evidence)
     values = dict(zip(methods.paper_pair(), _pair(evidence, evidence.overall, claim["metric"]), strict=True))
-    printed = cast(dict[str, str], claim)  # with one number by method
-    fits = all(abs(v - float(printed[m])) <= printed_half_unit(printed[m]) for m, v in values.items())
+    fits = all(abs(v - float(claim[m])) <= printed_half_unit(claim[m]) for m, v in values.items())
     grounds = ", ".join(f"{methods.label(method)} {value:.4g}" for method, value in values.items())
     return Finding(HOLDS if fits else FAILS, grounds)
 
@@ -112,18 +111,19 @@ def better_scenes(claim: Claim, evidence: ClaimEvidence) -> Finding:
 
 def better_mostly(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better in most scenes × metrics. Equal (printed) values are no gain."""
-    better, equal, total = _wins(claim, evidence)
-    grounds = f"better in {len(better)} of {total} scenes × metrics, equal in {len(equal)}"
-    by_metric = ", ".join(f"{metric} {sum(m == metric for _, m in better)}" for metric in claim["metrics"])
-    return Finding(HOLDS if len(better) > total / 2 else FAILS, f"{grounds} ({by_metric})")
+    gains = _gains(claim, evidence)
+    better, equal = [metric for metric, gain in gains if gain > 0], sum(gain == 0 for _, gain in gains)
+    grounds = f"better in {len(better)} of {len(gains)} scenes × metrics, equal in {equal}"
+    by_metric = ", ".join(f"{metric} {better.count(metric)}" for metric in claim["metrics"])
+    return Finding(HOLDS if len(better) > len(gains) / 2 else FAILS, f"{grounds} ({by_metric})")
 
 
 def mixed(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that each method is better somewhere among the data set's scenes × metrics."""
-    better, equal, total = _wins(claim, evidence)
-    worse = total - len(better) - len(equal)
-    counts = f"better in {len(better)}, worse in {worse}, equal in {len(equal)}"
-    return Finding(HOLDS if better and worse else FAILS, f"of {total} scenes × metrics {_label()} is {counts}")
+    gains = [gain for _, gain in _gains(claim, evidence)]
+    better, worse = sum(gain > 0 for gain in gains), sum(gain < 0 for gain in gains)
+    counts = f"better in {better}, worse in {worse}, equal in {len(gains) - better - worse}"
+    return Finding(HOLDS if better and worse else FAILS, f"of {len(gains)} scenes × metrics {_label()} is {counts}")
 
 
 def within(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -198,18 +198,10 @@ def _of_paper(evidence: ClaimEvidence) -> None:
         raise MissingError("a number for the paper's scenes, which these are not")
 
 
-def _wins(claim: Claim, evidence: ClaimEvidence) -> tuple[list[tuple[str, str]], list[tuple[str, str]], int]:
-    """Return scenes × metrics where the paper's method is better, where both are equal, and the number of all."""
-    better, equal, total = [], [], 0
-    for scene in _scenes(evidence, claim["dataset"]):
-        for metric in claim["metrics"]:
-            gain = _gain(*_pair(evidence, scene, metric), metric)
-            total += 1
-            if gain > 0:
-                better.append((scene, metric))
-            elif gain == 0:
-                equal.append((scene, metric))
-    return better, equal, total
+def _gains(claim: Claim, evidence: ClaimEvidence) -> list[tuple[str, float]]:
+    """Return metric and gain of the paper's method, percent, for each scene × metric of `dataset`."""
+    places = itertools.product(_scenes(evidence, claim["dataset"]), claim["metrics"])
+    return [(metric, _gain(*_pair(evidence, scene, metric), metric)) for scene, metric in places]
 
 
 def _by_init(evidence: ClaimEvidence, method: str, metric: str) -> pd.Series:

@@ -89,10 +89,7 @@ def all_of(findings: Sequence[Finding]) -> Finding:
     Each part's interval covers 95 % by itself, so a false `fails` becomes likelier with the number of parts.
     """
     verdicts = [found.verdict for found in findings]
-    if FAILS in verdicts:
-        verdict = FAILS
-    else:
-        verdict = HOLDS if set(verdicts) == {HOLDS} else UNDECIDED
+    verdict = FAILS if FAILS in verdicts else HOLDS if set(verdicts) == {HOLDS} else UNDECIDED
     parts = [found.grounds if len(findings) == 1 else f"{found.grounds} ({found.verdict})" for found in findings]
     return Finding(verdict, "; ".join(parts))
 

@@ -15,9 +15,10 @@ import pandas as pd
 from tdgbench.scoring import METRICS
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims.evidence import Claim
+from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import MEASURES
 
-OneOf = Callable[[Cell, Claim], float | None]
+OneOf = Callable[[Cell, Claim], float | None]  # None or NaN: n/a
 PairOf = Callable[[Cell, Cell, Claim], tuple[float, float] | None]
 
 
@@ -41,27 +42,17 @@ class Quantity:
 def _of_each(number: OneOf) -> PairOf:
     def both(mine: Cell, other: Cell, claim: Claim) -> tuple[float, float] | None:
         a, b = number(mine, claim), number(other, claim)
-        return None if a is None or b is None else (a, b)
+        return None if a is None or b is None or np.isnan(a) or np.isnan(b) else (a, b)
 
     return both
 
 
-def _score(cell: Cell, _claim: Claim, metric: str) -> float | None:
-    return cell.record.scores.get(metric)
+def _measured(cell: Cell, name: str) -> float:
+    return metric_value(cell.record, name)[0]
 
 
-def _dssim(cell: Cell, _claim: Claim) -> float | None:
-    ssim = cell.record.scores.get("ssim")
-    return None if ssim is None else 1 - ssim
-
-
-def _train_psnr(cell: Cell, _claim: Claim) -> float | None:
-    return cell.record.train_scores.get("psnr")
-
-
-def _overfit(cell: Cell, _claim: Claim) -> float | None:
-    train, test = cell.record.train_scores.get("psnr"), cell.record.scores.get("psnr")
-    return None if train is None or test is None else train - test
+def _of_measure(name: str) -> PairOf:
+    return _of_each(lambda cell, _: _measured(cell, name))
 
 
 def _inconsistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float] | None:
@@ -70,11 +61,11 @@ def _inconsistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float
     Some views overlap with no other one, and some are off by a hundred times the median view. None for scenes with true
     depth, where the error against it is the better measure.
     """
-    tables = mine.views(), other.views()
+    a, b = mine.views(), other.views()
     known = any(cell.record.scores.get("depth_abs_rel") is not None for cell in (mine, other))
-    if known or tables[0] is None or tables[1] is None:
+    if known or a is None or b is None:
         return None
-    both = tables[0].merge(tables[1], on="view")[["depth_inconsistency_x", "depth_inconsistency_y"]].dropna()
+    both = a.merge(b, on="view")[["depth_inconsistency_x", "depth_inconsistency_y"]].dropna()
     logs = np.log(both[(both > 0).all(axis=1)])
     return None if logs.empty else (float(np.exp(logs.iloc[:, 0].mean())), float(np.exp(logs.iloc[:, 1].mean())))
 
@@ -85,9 +76,9 @@ def _changes(cell: Cell, _claim: Claim, names: tuple[str, ...]) -> float | None:
 
 
 def _metric(metric: str) -> Quantity:
-    described, of = MEASURES[metric], _of_each(partial(_score, metric=metric))
-    places = described.digits if described.unit else 4
-    return Quantity(metric, of, higher=described.higher_is_better, digits=places, unit=described.suffix)
+    measure = MEASURES[metric]
+    places, of = measure.digits if measure.unit else 4, _of_measure(metric)
+    return Quantity(metric, of, higher=measure.higher_is_better, digits=places, unit=measure.suffix)
 
 
 def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[float, float] | None:
@@ -96,15 +87,15 @@ def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[f
     The level lies `level` (0 to 1) of the way from the start of the runs to the worse run's best. column: `iteration`
     or `seconds`. PSNR is the log's, smoothed over views. None without logs, or if the worse run never improves.
     """
-    logs = mine.log(), other.log()
-    if logs[0] is None or logs[1] is None:
+    a, b = mine.log(), other.log()
+    if a is None or b is None:
         return None
-    curves = [log["smoothed_psnr"] for log in logs if log is not None]
+    curves = a["smoothed_psnr"], b["smoothed_psnr"]
     start, best = min(curve.iloc[0] for curve in curves), min(curve.max() for curve in curves)
     if best <= start:
         return None
     level = start + claim["level"] * (best - start)
-    return first_at(logs[0], level, column), first_at(logs[1], level, column)
+    return first_at(a, level, column), first_at(b, level, column)
 
 
 def first_at(log: pd.DataFrame, level: float, column: str, score: str = "smoothed_psnr") -> float:
@@ -153,11 +144,16 @@ def _around_switch(cell: Cell, window: float, column: str) -> tuple[pd.Series, p
 
 QUANTITIES: dict[str, Quantity] = {
     **{metric: _metric(metric) for metric in METRICS},
-    "lpips": Quantity("lpips", _of_each(partial(_score, metric="lpips")), ratio=True),
-    "dssim": Quantity("1 − ssim", _of_each(_dssim), ratio=True),
-    "train_psnr": Quantity("PSNR of training views", _of_each(_train_psnr), higher=True, digits=2, unit=" dB"),
-    "overfit": Quantity("PSNR of training − test views", _of_each(_overfit), digits=2, unit=" dB"),
-    "depth_abs_rel": Quantity("depth error", _of_each(partial(_score, metric="depth_abs_rel")), ratio=True),
+    "lpips": Quantity("lpips", _of_measure("lpips"), ratio=True),
+    "dssim": Quantity("1 − ssim", _of_each(lambda cell, _: 1 - _measured(cell, "ssim")), ratio=True),
+    "train_psnr": Quantity("PSNR of training views", _of_measure("train_psnr"), higher=True, digits=2, unit=" dB"),
+    "overfit": Quantity(
+        "PSNR of training − test views",
+        _of_each(lambda cell, _: _measured(cell, "train_psnr") - _measured(cell, "psnr")),
+        digits=2,
+        unit=" dB",
+    ),
+    "depth_abs_rel": Quantity("depth error", _of_measure("depth_abs_rel"), ratio=True),
     "depth_inconsistency": Quantity("depth inconsistency", _inconsistency, ratio=True),
     "train_hours": Quantity(
         "training time", _of_each(lambda cell, _: cell.record.seconds.get("train")), ratio=True, timed=True
