@@ -265,9 +265,9 @@ def _resolved(cfg: DictConfig) -> tuple[dict[Any, Any], list[Problem]]:
 def _typed_name(cfg: DictConfig, name: str) -> str:
     """Return the option that a user sets: `data.width` for `dataset.loader.options.width`, which is `${data.width}`."""
     written = flat(cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=False)))
-    while refers := re.fullmatch(r"\$\{([a-z_]\w*(?:\.\w+)*)\}", str(written.get(name))):
-        target = refers.group(1)
-        if not any(option == target or option.startswith(f"{target}.") for option in written):
+    for _ in written:  # options may refer to one another in a circle
+        refers = re.fullmatch(r"\$\{([a-z_]\w*(?:\.\w+)*)\}", str(written.get(name)))
+        if not refers or not any(option.startswith(f"{refers.group(1)}.") for option in (f"{n}." for n in written)):
             break
-        name = target
+        name = refers.group(1)
     return name
