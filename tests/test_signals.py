@@ -82,18 +82,17 @@ def test_a_signal_during_the_start(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_ends_the_workers_of_a_sweep(tmp_path, data_root, number, status):
+def test_a_signal_ends_the_workers_of_a_sweep(tmp_path, data_root):
     joblib = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "seed=0,1")
     run = started(tmp_path, "-m", *LONG, f"data.root={data_root}", *joblib)
     try:
         wait_for_checkpoint(run, tmp_path / "results" / "single")
-        run.send_signal(number)
+        run.send_signal(signal.SIGINT)
         _, err = run.communicate(timeout=60)
     finally:
         end_session(run)
     *before, last = err.splitlines()
-    assert run.returncode == status and last.startswith(f"interrupted by {number.name}")
+    assert run.returncode == 130 and last.startswith("interrupted by SIGINT")
     assert all(": starts, " in line or " cells, " in line for line in before), err
     waited(lambda: not _of_session(run.pid), 20, "the workers end")
 

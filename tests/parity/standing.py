@@ -40,4 +40,4 @@ def standing_view() -> SimpleNamespace:
         "view", Camera(torch.eye(3).numpy(), torch.eye(4).numpy(), 31, 24),
         load_thermal=lambda: images["thermal"], load_rgb=lambda: images["rgb"],
     )  # fmt: skip
-    return SimpleNamespace(next=lambda: view)
+    return SimpleNamespace(next=lambda: view, has_ended=False)
