@@ -267,7 +267,7 @@ def _typed_name(cfg: DictConfig, name: str) -> str:
     written = flat(cast(dict[str, Any], OmegaConf.to_container(cfg, resolve=False)))
     for _ in written:  # options may refer to one another in a circle
         refers = re.fullmatch(r"\$\{([a-z_]\w*(?:\.\w+)*)\}", str(written.get(name)))
-        if not refers or not any(option.startswith(f"{refers.group(1)}.") for option in (f"{n}." for n in written)):
+        if not refers or not any(f"{option}.".startswith(f"{refers.group(1)}.") for option in written):
             break
         name = refers.group(1)
     return name

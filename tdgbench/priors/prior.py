@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -186,11 +187,17 @@ def _read(path: Path, view: View) -> DepthPrior | None:
     The archive holds checksums of its members, so changed bytes are found.
     """
     try:
-        with np.load(regular_file(path), allow_pickle=False) as stored:
+        with zipfile.ZipFile(regular_file(path)) as archive:
+            largest = 4 * view.camera.width * view.camera.height + 4096  # bytes; before a header's shape is believed
+            if any(member.file_size > largest for member in archive.infolist()):
+                raise ValueError("it is larger than a prior of its view")
+        with np.load(path, allow_pickle=False) as stored:
             values, kind = stored["values"], str(stored["kind"])
         if values.dtype != np.float32:
             raise ValueError(f"it holds {values.dtype}")
         return DepthPrior(values, kind).check(view)  # type: ignore[arg-type]
+    except MemoryError:
+        raise
     except Exception as error:  # zipfile, zlib and numpy raise many kinds
         LOG.warning("the cached prior %s is damaged and made again: %s", path, error)
         return None

@@ -113,8 +113,9 @@ def _rows(stored: StoredViews, scorer: Scorer, known: Known, todo: list[Metric])
         found.append(scorer.score(scene, stored.rendered_again(), by_model))
     elif by_model:
         scorer.missing |= {metric.name: NO_MODEL for metric in by_model}
+        found.append({name: dict.fromkeys(metric.name for metric in by_model) for name in stored.cameras})
     rows = {name: ChainMap(*(scores[name] for scores in found)) for name in stored.cameras}
-    return {name: {metric: row.get(metric) for metric in METRICS} for name, row in rows.items()}
+    return {name: {metric: row[metric] for metric in METRICS} for name, row in rows.items()}
 
 
 def _write(folder: Path, target: Path, record: Record, rows: dict[str, Row]) -> None:

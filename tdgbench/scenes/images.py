@@ -166,6 +166,7 @@ def resize(image: np.ndarray, width: int, height: int, method: Image.Resampling 
     if image.shape[:2] == (height, width):
         return image
     shrinks = width <= image.shape[1] and height <= image.shape[0]
-    method = method or (Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR)
+    if method is None:
+        method = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
     planes = [Image.fromarray(np.ascontiguousarray(image[..., c])) for c in range(image.shape[2])]
     return np.stack([np.asarray(plane.resize((width, height), method)) for plane in planes], axis=-1)

@@ -66,9 +66,10 @@ def test_a_part_that_fails_loses_nothing(measurement):
     assert failed["n/a"].startswith("it ended by status 1: ")
 
 
-def test_tests_are_counted(measurement):
-    """By a worker of xdist, which writes outcomes before names."""
-    found = measurement._tests(["-n", "1"], "tests/splats/test_columns.py")
+@pytest.mark.parametrize("options", [["-n", "1"], ["-m", "not slow"]])
+def test_tests_are_counted(measurement, options):
+    """With xdist, where it is installed, and without: it writes outcomes before names."""
+    found = measurement._tests(options, "tests/splats/test_columns.py")
     assert found["passed"] >= 1 and found["failed"] == [] and found["ended"] == "whole"
 
 
