@@ -17,6 +17,7 @@ from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients, PendingGradients
+from tdgbench.splats.harmonics import C0
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.transfer import received, sent
 from tdgbench.splats.warp import fuses
@@ -27,6 +28,7 @@ FLUSH_EVERY = 128  # steps
 # |m| / √v ≤ (1 − β1) / √(1 − β2) · √(Σ (β1² / β2)^j) by Cauchy and Schwarz: no step is longer than 7.3 rates.
 MAX_SPEED = (1 - BETA1) / math.sqrt((1 - BETA2) * (1 - BETA1**2 / BETA2))
 UPDATE_CONSTANTS = tuple(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS))
+BLACK = (0.001 - 0.5) / C0  # base colour that no render clamps, by a thousandth
 MAX_DEFERRED = MAX_SPEED * RHO / (1 - RHO)  # rates by which deferred steps can move a row
 
 
@@ -174,6 +176,17 @@ class Adam:
         """Return the largest distance of rows from their culling bounds at an iteration."""
         means, log_scales = (self._rate_of(name, max(iteration - FLUSH_EVERY, 0)) for name in ("means", "log_scales"))
         return Tolerance(MAX_DEFERRED * float(means), MAX_DEFERRED * float(log_scales))
+
+    @torch.no_grad()
+    def lift_dark(self) -> None:
+        """Set base colours below black to black; at SH degree 0 they are all of the colour.
+
+        A render clamps them (3DGS), so that no gradient brings them back, whatever comes to lie there.
+        """
+        for name, columns in self._places.items():
+            if self.learning_rates.get(name, name) == "sh":
+                base = slice(columns.start, columns.start + self.state.channels_of(name))
+                self.state.values[:, base].clamp_min_(BLACK)
 
     def reset_moments(self, name: str) -> None:
         """Zero the moments of one parameter (3DGS, `replace_tensor_to_optimizer`); `flush` first."""

@@ -87,6 +87,7 @@ class Budget:
     rates: LearningRates
     density: DensityRules
     background: Literal["black", "mean"] = "black"  # behind the Gaussians; mean: of the training images
+    lift_dark_every: PositiveInt | None = None  # iterations of SH degree 0 between calls of `Adam.lift_dark`
     growth: GrowthRule | None = None  # what grows; None: by the gradients' threshold of `density`
     pixels: PixelRule | None = None  # resolution of the images; None: full from the start
     settling: SettlingRule | None = None  # when to stop, by held-out views; None: by `plateau`

@@ -198,6 +198,9 @@ class SplatModel(Part):
             bad = self.optimizer.step(gradients, iteration, without, statistics)
             if not self.skips.unseen.allowed:
                 self.optimizer.flush()
+            every = self.budget.lift_dark_every
+            if every and self.degree == 0 and iteration % every == 0:
+                self.optimizer.lift_dark()
         self.density.after_step(self.optimizer, iteration, self._generator)
         self._forget(views)
         if len(self) == 0:

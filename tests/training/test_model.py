@@ -7,6 +7,7 @@ from hydra.utils import instantiate
 
 from tdgbench.splats.gradients import PendingGradients
 from tdgbench.splats.initialize import gaussians_from_points
+from tdgbench.splats.optimizer import BLACK
 from tdgbench.training import model as model_module
 from tdgbench.training.losses import thermal_loss
 from tdgbench.training.model import SplatModel
@@ -170,3 +171,25 @@ def test_a_gradient_that_is_not_finite_is_named_alike(small_scene):
             view.gradients = view.gradients.compute()
         found.append(model.step(4))
     assert found[0] == found[1] is not None
+
+
+@pytest.mark.parametrize(("every", "comes_back"), [(None, False), (2, True)])
+def test_a_colour_below_black(small_scene, every, comes_back):
+    """Renders clamp it, so that it has no gradient (3DGS): it stays, or is lifted to black and learns again."""
+    words = ["budget=demo", "budget.density.start=1000", f"budget.lift_dark_every={every or 'null'}"]
+    budget = instantiate(config(*words).budget)
+    start = gaussians_from_points(small_scene.points.points, small_scene.points.colors, 1, budget.sh_degree)
+    start.sh[:, 0] = -4.0
+    model = SplatModel(start, budget, small_scene.extent, "auto", torch.Generator().manual_seed(0))
+    for iteration in range(1, 7):
+        model.begin(iteration)
+        (1 - model.render(small_scene.train[0].camera).image).square().mean().backward()
+        model.step(iteration)
+    base = model.gaussians.sh[:, 0, 0]
+    assert bool((base == -4.0).all()) is not comes_back
+    assert bool((base > BLACK + 0.001).any()) is comes_back
+
+
+def test_budgets_of_published_methods_lift_no_colour():
+    lifts = {name: config(f"budget={name}").budget.get("lift_dark_every") for name in ("paper", "short", "demo", "lean")}
+    assert lifts == {"paper": None, "short": None, "demo": None, "lean": 10}
