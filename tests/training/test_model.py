@@ -191,5 +191,7 @@ def test_a_colour_below_black(small_scene, every, comes_back):
 
 
 def test_budgets_of_published_methods_lift_no_colour():
-    lifts = {name: config(f"budget={name}").budget.get("lift_dark_every") for name in ("paper", "short", "demo", "lean")}
+    lifts = {
+        name: config(f"budget={name}").budget.get("lift_dark_every") for name in ("paper", "short", "demo", "lean")
+    }
     assert lifts == {"paper": None, "short": None, "demo": None, "lean": 10}
