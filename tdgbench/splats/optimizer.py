@@ -17,7 +17,7 @@ from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients, PendingGradients
-from tdgbench.splats.harmonics import C0
+from tdgbench.splats.harmonics import sh_from_color
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.transfer import received, sent
 from tdgbench.splats.warp import fuses
@@ -28,8 +28,8 @@ FLUSH_EVERY = 128  # steps
 # |m| / √v ≤ (1 − β1) / √(1 − β2) · √(Σ (β1² / β2)^j) by Cauchy and Schwarz: no step is longer than 7.3 rates.
 MAX_SPEED = (1 - BETA1) / math.sqrt((1 - BETA2) * (1 - BETA1**2 / BETA2))
 UPDATE_CONSTANTS = tuple(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS))
-BLACK = (0.001 - 0.5) / C0  # base colour that no render clamps, by a thousandth
 MAX_DEFERRED = MAX_SPEED * RHO / (1 - RHO)  # rates by which deferred steps can move a row
+BLACK = sh_from_color(torch.tensor(0.001, dtype=torch.float64)).item()  # just not clamped by a render
 
 
 @dataclass(frozen=True)
