@@ -96,7 +96,7 @@ class MultimodalControl(DensityControl):
         """
         rules, values = self.rules, self.state.values
         by_gradients = self._by_gradients()
-        strength, grow, faint, rounds = decision or by_gradients
+        strength, grow, faint, rounds, at_camera = decision or by_gradients
         rejected = by_gradients.grow & ~grow
         decomposed = self._decomposed(by_gradients.strength)
         if rules.max_gaussians is not None:
@@ -111,7 +111,7 @@ class MultimodalControl(DensityControl):
             self._switch_off("opacity_logits", self._is_spared_without("thermal"))
             self._switch_off(OPACITY_RGB, self._is_spared_without("rgb"))
         faint = faint & (_opacities(self.state.split(values))["rgb"] <= rules.kept_opacity)
-        decision = GrowthDecision(strength, grow, faint, rounds)
+        decision = GrowthDecision(strength, grow, faint, rounds, at_camera)
         removed, added = super().removed_and_added(change, iteration, generator, decision)
         spared = decomposed[removed]
         change.cloned += len(copies)

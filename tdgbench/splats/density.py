@@ -109,12 +109,13 @@ class DensityChange:
 
 
 class GrowthDecision(NamedTuple):
-    """Which of N Gaussians grow, and which have next to no weight in the views that a round looked at."""
+    """Which of N Gaussians grow, and which are pruned: at cameras, or for next to no weight in a round's views."""
 
     strength: Tensor  # (N,): if not all can grow, the strongest do
     grow: Tensor  # (N,) bool
     faint: Tensor  # (N,) bool
     rounds: int  # that look at every training view once; a Gaussian that is faint in so many in a row is pruned
+    at_camera: Tensor  # (N,) bool: a camera stands in it
 
 
 @dataclass
@@ -283,7 +284,7 @@ class DensityControl:
         change.cloned, change.split = len(clone), len(split)
 
         self.faint_rounds = torch.where(decision.faint, self.faint_rounds + 1, 0)
-        remove = self._is_transparent(old) | (self.faint_rounds >= decision.rounds)
+        remove = self._is_transparent(old) | (self.faint_rounds >= decision.rounds) | decision.at_camera
         if iteration > rules.opacity_reset_every:
             remove |= largest > rules.max_world_scale * self.extent
             if rules.screen_radius_prune:
@@ -307,7 +308,8 @@ class DensityControl:
         total = self.absolute_sum if self.rules.uses_absolute else self.grad_sum
         grads = torch.nan_to_num(total / self.view_counts)
         grow = grads >= self.rules.grad_threshold
-        return GrowthDecision(grads, grow, torch.zeros_like(grow), 1)
+        none = torch.zeros_like(grow)
+        return GrowthDecision(grads, grow, none, 1, none)
 
     def _children(self, parents: Tensor, generator: torch.Generator) -> Tensor:
         """Split parents (n, columns) into smaller Gaussians (split_into · n, columns), at positions drawn from them."""

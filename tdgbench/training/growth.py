@@ -79,7 +79,23 @@ class GrowthTest:
         strength = torch.where(is_known, strength, 0.0)
         is_faint = self.curriculum.scale**2 * weight < self.rule.min_weight * views
         rounds = math.ceil(len(self._views) / self.rule.views)
-        return GrowthDecision(strength, strength > self.rule.z, (views >= FEWEST_VIEWS) & is_faint, rounds)
+        is_faint &= views >= FEWEST_VIEWS
+        return GrowthDecision(strength, strength > self.rule.z, is_faint, rounds, self.at_cameras(gaussians))
+
+    def at_cameras(self, gaussians: Gaussians) -> Tensor:
+        """Return which Gaussians (N,) have a training camera, held out or not, within `clearance` of their centre.
+
+        Where a camera stands, nothing is. Such a Gaussian lies before the near plane of the cameras around it, which so
+        do not see it, and hides the image of one between them: its projection, linear at its centre, is that large.
+        """
+        reach = self.rule.clearance * gaussians.scales.amax(dim=1)
+        found = torch.zeros_like(reach, dtype=torch.bool)
+        for view in self.views:
+            offsets = torch.as_tensor(self.camera_of(view.camera).center).to(gaussians.means) - gaussians.means
+            close = (offsets.norm(dim=1) < reach).nonzero().squeeze(1)
+            along = torch.einsum("nij,ni->nj", rotation_matrices(gaussians.quats[close]), offsets[close])
+            found[close] |= (along / gaussians.scales[close]).norm(dim=1) < self.rule.clearance
+        return found
 
     def views_of_round(self, round_number: int) -> list[View]:
         """Return the views of a round, evenly spread and shifted by one in every round."""

@@ -172,7 +172,7 @@ def test_a_decision_by_thermal_images_cannot_prune_what_rgb_keeps(model):
     model.gaussians.extra_fields[OPACITY_RGB][: count // 2] = -3.0
     all_of = torch.ones(count, dtype=torch.bool)
     model.density.grad_sum[:] = 0
-    change = round_of(model, GrowthDecision(torch.zeros(count), ~all_of, all_of, 1))
+    change = round_of(model, GrowthDecision(torch.zeros(count), ~all_of, all_of, 1, ~all_of))
     assert change.pruned == count // 2
 
 

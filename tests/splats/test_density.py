@@ -117,13 +117,14 @@ def test_cap_keeps_the_hottest(rules):
     assert change.cloned == 1 and rows_of(result, [last]) == [2]
 
 
-def decided(density: DensityControl, faint: set[int]) -> int:
+def decided(density: DensityControl, faint: set[int], at_camera: set[int] = frozenset()) -> int:
     """Number of Gaussians after a round that grows none, where those at x in `faint` are; 2 rounds show all."""
     state = density.state
     x = state.split(state.values).means[:, 0].round().int().tolist()
-    none, chosen = torch.zeros(len(x)), torch.tensor([number in faint for number in x])
+    none = torch.zeros(len(x))
+    chosen, near = (torch.tensor([number in of for number in x]) for of in (faint, at_camera))
     optimizer, generator = Adam(state, RATES, EXTENT), torch.Generator().manual_seed(0)
-    density.update(optimizer, 600, generator, GrowthDecision(none, none > 0, chosen, rounds=2))
+    density.update(optimizer, 600, generator, GrowthDecision(none, none > 0, chosen, 2, near))
     return len(state)
 
 
@@ -135,6 +136,10 @@ def test_what_is_faint_in_rounds_that_show_all_views_is_pruned(rules):
     assert decided(restored, {3}) == 3
     assert decided(restored, {0}) == 3  # the round before showed it
     assert decided(restored, {0}) == 2
+
+
+def test_what_holds_a_camera_is_pruned_at_once(rules):
+    assert decided(control(rules), set(), {0, 3}) == 2
 
 
 def test_everything_may_be_pruned(rules):

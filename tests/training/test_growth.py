@@ -15,7 +15,7 @@ from tdgbench.training.growth import GrowthTest, footprints, split_in_halves
 from tdgbench.training.images import RGB, THERMAL
 from tests.helpers.footprints import drift, edge, two, view_of, views
 
-RULE = GrowthRule(views=10, z=5.0, min_weight=0.0)
+RULE = GrowthRule(views=10, z=5.0, min_weight=0.0, clearance=3.0)
 
 
 def judge(views, gaussians=None, rule=RULE, modality=THERMAL, curriculum=None):
@@ -104,6 +104,20 @@ def test_what_has_no_weight_is_faint():
     hidden.opacity_logits[1] = -3.5
     assert judge(views(edge), hidden, rule).faint.tolist() == [False, True]
     assert not judge(views(edge, count=1), hidden, rule).faint.any()
+
+
+def test_a_gaussian_in_which_a_camera_stands_is_pruned_even_if_that_view_is_held_out():
+    """The first Gaussian reaches 3 σ to a camera along its longest axis, the second turns another one to it."""
+    given = views(edge)
+    gaussians = two()
+    x, y, z = given[0].camera.center
+    gaussians.means = torch.tensor([[x, y + 1.4, z], [x + 1.4, y, z]], dtype=torch.float32)
+    curriculum = Curriculum(held_out=given[:1])
+    assert judge(given[:1], gaussians, curriculum=curriculum).at_camera.tolist() == [True, False]
+    gaussians.means[0, 1] = y + 1.6
+    gaussians.quats[1] = torch.tensor([1.0, 0.0, 0.0, 1.0])  # its longest axis lies along x
+    assert judge(given[:1], gaussians).at_camera.tolist() == [False, True]
+    assert not judge(given[:1], gaussians, dataclasses.replace(RULE, clearance=0.0)).at_camera.any()
 
 
 def numbered(round_number: int, held_out: list[int]) -> list[int]:
