@@ -1,25 +1,19 @@
 """A stand-in for a GPU in torch and Warp: its memory is the host's, but it counts what a real one has to do.
 
-`python -m tests.helpers.stand_in_gpu DATA METHOD ...` trains on it by backend `warp`, and prints what steps cost, as
-JSON. It changes torch for its process: run it in a new one.
+`steps_of` trains on it by backend `warp`. It changes torch for its process: install it in a new one.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 from collections import Counter
 from contextlib import nullcontext, suppress
-from pathlib import Path
 
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map_only
 
 from tdgbench.scenes import Scene
-from tests.helpers.masks import masked_scene
-from tests.helpers.scenes import small_dataset
 
 NAME = "stand_in"
 READS = ("_local_scalar_dense", "nonzero", "masked_select", "equal", "is_nonzero", "_unique2", "unique_dim")
@@ -175,7 +169,7 @@ def install(costs: Costs) -> None:
 
 
 def steps_of(method: str, scene: Scene, costs: Costs) -> list[dict]:
-    """Train for three rounds of the views; return what each step of the last one cost, if it wrote no log line.
+    """Train for two rounds of the views; return what each step of the last one cost, if it wrote no log line.
 
     Density control observes, and changes nothing.
     """
@@ -190,25 +184,9 @@ def steps_of(method: str, scene: Scene, costs: Costs) -> list[dict]:
         def note(log) -> None:
             logs = bool(log.lines) and log.lines[-1].iteration == log.iterations
             found.append({**costs.read(), "logs": logs})
-            if log.iterations == 3 * number:
+            if log.iterations == 2 * number:
                 raise KeyboardInterrupt
 
         with suppress(KeyboardInterrupt):
             train(trainer, after_iteration=note)
-    return [step for step in found[2 * number :] if not step.pop("logs")]
-
-
-def main() -> None:
-    costs = Costs()
-    install(costs)
-    found = {}
-    scene = small_dataset(Path(sys.argv[1])).load("turntable")
-    for method in sys.argv[2:]:
-        found[method] = steps_of(method, scene, costs)
-        found[f"{method}, masked"] = steps_of(method, masked_scene(scene), costs)
-    print(json.dumps(found), flush=True)
-    os._exit(0)  # autograd's thread of this device may abort while the interpreter ends
-
-
-if __name__ == "__main__":
-    main()
+    return [step for step in found[number:] if not step.pop("logs")]

@@ -20,22 +20,24 @@ SETS = {"3dgs": 1, "tdg": 1, "msmg": 2}  # of Gaussians
 MOST_LAUNCHES = {"3dgs": 67, "tdg": 199, "msmg": 186}  # with a mask
 
 
-def run(*call: str) -> dict:
+@pytest.fixture(scope="module")
+def found(data_root) -> dict[str, dict]:
+    """What a process of its own finds on the stand-in: of steps, of what makes a host wait, of late errors."""
     environment = {**os.environ, "CUDA_VISIBLE_DEVICES": ""}  # one accelerator is enough
     done = subprocess.run(
-        [sys.executable, *call], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=900
-    )
+        [sys.executable, "-c", BEGIN + NOTICED + LATE + STEPS, str(data_root), *SETS], cwd=ROOT, env=environment,
+        capture_output=True, text=True, timeout=900,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr[-3000:]
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def test_a_step_waits_for_its_pairs_alone(data_root):
+def test_a_step_waits_for_its_pairs_alone(found):
     """With active density control, with and without masks. Without a wait go learning rates, one copy per set of
     Gaussians, and come loss and flags of gradients that are not finite.
     """
-    found = run("-m", "tests.helpers.stand_in_gpu", str(data_root), *SETS)
-    assert len(found) == 2 * len(SETS)
-    for name, steps in found.items():
+    assert len(found["steps"]) == 2 * len(SETS)
+    for name, steps in found["steps"].items():
         method = name.split(",")[0]
         assert len(steps) >= 5
         for step in steps:
@@ -44,12 +46,25 @@ def test_a_step_waits_for_its_pairs_alone(data_root):
             assert 40 < step["launches"] <= MOST_LAUNCHES[method], name
 
 
-NOTICED = """
-import json, torch
+BEGIN = """
+import json, os, sys
+from pathlib import Path
+import torch
 from tdgbench.splats.transfer import received
-from tests.helpers.stand_in_gpu import NAME, Costs, install
-costs, found = Costs(), {}
+from tdgbench.training.budget import PlateauRule
+from tdgbench.training.loop import train
+from tdgbench.training.part import NonFiniteError, Stopping
+from tdgbench.training.stopping import Plateau
+from tests.helpers.masks import masked_scene
+from tests.helpers.scenes import small_dataset
+from tests.helpers.stand_in_gpu import NAME, Costs, install, steps_of
+from tests.helpers.training import ready_to_train
+
+costs, noticed, late, steps = Costs(), {}, {}, {}
 install(costs)
+scene = small_dataset(Path(sys.argv[1])).load("turntable")
+"""
+NOTICED = """
 with costs:
     x, mask = torch.arange(6.0, device=NAME), torch.arange(6, device=NAME) > 3
     host, pinned = torch.ones(6), torch.ones(6).pin_memory()
@@ -72,32 +87,20 @@ with costs:
     }.items():
         costs.clear()
         call()
-        found[name] = sum(costs.waits.values())
+        noticed[name] = sum(costs.waits.values())
     assert x.cpu().tolist() == [1.0] * 6
-print(json.dumps(found))
 """
 
 
-def test_the_stand_in_notices_what_makes_a_host_wait():
+def test_the_stand_in_notices_what_makes_a_host_wait(found):
     without = {"pinned": 0, "on the device": 0, "not read": 0}
-    found = run("-c", NOTICED)
-    assert {name: found.pop(name) for name in without} == without
-    assert set(found.values()) == {1}, found
+    noticed = {name: count for name, count in found["noticed"].items() if name not in without}
+    assert {name: found["noticed"][name] for name in without} == without
+    assert noticed and set(noticed.values()) == {1}, noticed
 
 
 # 1000 iterations have a line of the log at 1, 5, 10, ...
 LATE = """
-import json, sys
-from pathlib import Path
-import torch
-from tdgbench.training.budget import PlateauRule
-from tdgbench.training.loop import train
-from tdgbench.training.part import NonFiniteError, Stopping
-from tdgbench.training.stopping import Plateau
-from tests.helpers.scenes import small_dataset
-from tests.helpers.stand_in_gpu import Costs, install
-from tests.helpers.training import ready_to_train
-
 class Reader(Stopping):
     def reached(self, iteration, loss):
         self.losses = [*getattr(self, "losses", []), loss]
@@ -124,37 +127,43 @@ def error_of(method, spoil, at, **more):
     except NonFiniteError as error:
         return [error.iteration, error.tensor.split()[0], len(trainer.losses)]
 
-costs, found = Costs(), {}
-install(costs)
-scene = small_dataset(Path(sys.argv[1])).load("turntable")
 with costs:
     for method, spoil, iterations in (("3dgs", "loss", (1, 5, 7)), ("msmg", "gradient", (7,))):
-        found[f"{method} {spoil}"] = [error_of(method, spoil, at) for at in iterations]
-    found["checkpoint"] = error_of("3dgs", "gradient", 7, after_iteration=lambda trainer: trainer.state_dict())
-    found["before update"] = error_of("3dgs", "loss", 7, before_update=lambda trainer: None)
-    found["other error"] = error_of("3dgs", "gradient", 7, after_iteration=lambda t: 1 / (7 - len(t.losses)))
+        late[f"{method} {spoil}"] = [error_of(method, spoil, at) for at in iterations]
+    late["checkpoint"] = error_of("3dgs", "gradient", 7, after_iteration=lambda trainer: trainer.state_dict())
+    late["before update"] = error_of("3dgs", "loss", 7, before_update=lambda trainer: None)
+    late["other error"] = error_of("3dgs", "gradient", 7, after_iteration=lambda t: 1 / (7 - len(t.losses)))
 
     trainer = trainer_of("3dgs")
     trainer.stopping = Plateau(PlateauRule(epochs=1, patience=1, gain=0.9, after=10), views=5)
     log = train(trainer)
     losses = [loss.item() for loss in trainer.losses]
-    found["plateau"], found["lines"] = log.iterations, [line.loss == losses[line.iteration - 1] for line in log.lines]
+    late["plateau"], late["lines"] = log.iterations, [line.loss == losses[line.iteration - 1] for line in log.lines]
 
     trainer = trainer_of("3dgs")
     trainer.stopping = Reader()
-    found["rule"] = train(trainer).iterations
+    late["rule"] = train(trainer).iterations
     assert trainer.stopping.losses == [loss.item() for loss in trainer.losses]
     assert all(type(loss) is float for loss in trainer.stopping.losses)
-print(json.dumps(found))
+"""
+STEPS = """
+for method in sys.argv[2:]:
+    steps[method] = steps_of(method, scene, costs)
+    steps[f"{method}, masked"] = steps_of(method, masked_scene(scene), costs)
+print(json.dumps({"noticed": noticed, "late": late, "steps": steps}), flush=True)
+os._exit(0)  # autograd's thread of this device may abort while the interpreter ends
 """
 
 
-def test_an_error_that_is_read_late_has_its_own_iteration(data_root):
+def test_an_error_that_is_read_late_has_its_own_iteration(found):
     """[iteration, tensor, steps that were rendered]: one more than that iteration, unless something needs it before."""
-    found = run("-c", LATE, str(data_root))
-    assert found.pop("3dgs loss") == [[1, "loss", 1], [5, "loss", 5], [7, "loss", 8]]
-    assert found.pop("msmg gradient") == [[7, "gradient", 8]]
-    assert found.pop("checkpoint") == [7, "gradient", 7]
-    assert found.pop("before update") == [7, "loss", 7]
-    assert found.pop("other error") == [7, "gradient", 7]
-    assert found == {"plateau": 20, "lines": [True] * 5, "rule": 4}
+    assert found["late"] == {
+        "3dgs loss": [[1, "loss", 1], [5, "loss", 5], [7, "loss", 8]],
+        "msmg gradient": [[7, "gradient", 8]],
+        "checkpoint": [7, "gradient", 7],
+        "before update": [7, "loss", 7],
+        "other error": [7, "gradient", 7],
+        "plateau": 20,
+        "lines": [True] * 5,
+        "rule": 4,
+    }
