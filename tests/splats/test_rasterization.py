@@ -148,7 +148,7 @@ def test_adversarial_scenes(backend, kind):
 @pytest.mark.parametrize("backend", FAST_BACKENDS)
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 3), (129, 5), (2, 70)])
 def test_image_sizes(backend, size):
-    compare(random_gaussians(80, 3, None, 1), turned_camera(*size), size, backend, render_mode="RGB+D")
+    compare(random_gaussians(80, 3, None, 3), turned_camera(*size), size, backend, render_mode="RGB+D")
 
 
 @pytest.mark.parametrize("backend", ["reference", *FAST_BACKENDS])
@@ -198,7 +198,10 @@ def test_bitwise_equal_on_any_number_of_threads():
 
 @pytest.mark.slow
 def test_the_other_width_of_registers():
-    """Kernels compiled for the width that this processor does not choose, in a process of their own, agree as well."""
+    """Kernels compiled for the width that this processor does not choose, in a process of their own, agree as well.
+
+    The tests share one variant of the kernels, of three channels and depth.
+    """
     lanes = "16" if jit.lanes() == 8 else "8"
     tests = ["test_adversarial_scenes", "test_several_cameras", "test_image_sizes", "test_bitwise_equal_on_any"]
     chosen = f"({' or '.join(tests)}) and not warp"
