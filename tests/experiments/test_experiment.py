@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import logging.config
+import sys
 import textwrap
+from unittest import mock
 
 import pytest
 from omegaconf import OmegaConf
 
 from tdgbench.bench.options import OptionError
 from tdgbench.experiments.experiment import Experiment, check_results_folder, error_message, experiment_of
-from tests.helpers.command import command, command_here
+from tests.helpers.command import command_here
 from tests.helpers.configs import config
 
 CODE = """
@@ -53,7 +55,8 @@ def squares(tmp_path, monkeypatch):
 
     def run(*overrides, flags=()):
         flags_first = ("--config-dir", str(tmp_path / "conf"), *flags)
-        return command(tmp_path, *flags_first, "+experiment=squares", *overrides)
+        with mock.patch.dict(sys.modules):  # its module is forgotten
+            return command_here(tmp_path, *flags_first, "+experiment=squares", *overrides)
 
     run.log = tmp_path / "results" / "squares" / "log.txt"
     return run
