@@ -185,9 +185,12 @@ def test_metric(page, data_root):
     run(*words, f"data.root={data_root}", *QUICK)
     views = pd.read_csv(next((metric.folder / "results").rglob("views.csv")))
     assert (views["edge_psnr"] > views["psnr"]).all()
+    (record,) = records(metric)
+    assert views["edge_psnr"].mean() == pytest.approx(record.scores["edge_psnr"])
     main = pd.read_csv(metric.folder / "results/single/tables/main.csv")
     assert main[main["metric"] == "edge_psnr"]["value"].notna().all()
-    assert "edge PSNR, dB ↑" in (metric.folder / "results/single/report.html").read_text(encoding="utf-8")
+    report = (metric.folder / "results/single/report.html").read_text(encoding="utf-8")
+    assert "edge PSNR, dB ↑" in report and "PSNR of horizontal and vertical differences" in report
     assert "1 cell, 0 problems" in run("verify", "results/single").replace("\n", " ")
 
 

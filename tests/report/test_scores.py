@@ -1,11 +1,7 @@
-"""Tables of scores on the page, and a new metric on its way there: one file, and it is in every table."""
+"""Tables of scores on the page."""
 
 from __future__ import annotations
 
-import csv
-import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import pandas as pd
@@ -15,68 +11,7 @@ from tdgbench.report.scores import difference_note, further_scores, legend, main
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.measures import MEASURES
 from tdgbench.text import duration
-from tests.helpers.paths import ROOT
 from tests.helpers.records import write
-
-METRIC = """
-from tdgbench.scoring.metric import ImageMetric
-
-METRIC = ImageMetric(
-    name="bias", label="bias", meaning="mean of render − ground truth", digits=4, limits=(-1.0, 1.0),
-    of_images=lambda pair: float((pair.image - pair.target).mean()),
-)
-"""
-# The folder of metrics, with a second folder beside it.
-RUN = """
-import sys
-from importlib.machinery import PathFinder
-from pathlib import Path
-
-root, more = sys.argv[1:]
-
-class Finder:
-    @staticmethod
-    def find_spec(name, path=None, target=None):
-        if name != "tdgbench.scoring.metrics":
-            return None
-        spec = PathFinder.find_spec(name, path, target)
-        spec.submodule_search_locations.append(more)
-        return spec
-
-sys.meta_path.insert(0, Finder)
-from rich.console import Console
-from tdgbench.bench.run_cell import run_cell
-from tdgbench.bench.progress import CellProgress
-from tdgbench.report.page import write_report
-from tdgbench.tables.build import build_tables
-from tests.helpers.configs import SMALL, config
-
-cfg = config(*SMALL, "method=3dgs", "scene=turntable", "budget=demo", "budget.iterations=3", f"data.root={root}/data",
-             f"results={root}/results")
-assert run_cell(cfg, "", CellProgress(Console(quiet=True), 3)).status == "ok"
-experiment = Path(root) / "results" / "single"
-write_report(experiment, build_tables(experiment))
-"""
-
-
-def test_a_new_metric_is_one_file(tmp_path):
-    more = tmp_path / "metrics"
-    more.mkdir()
-    (more / "made_up.py").write_text(METRIC)
-    call = [sys.executable, "-c", RUN, str(tmp_path), str(more)]
-    run = subprocess.run(call, cwd=ROOT, capture_output=True, text=True)
-    assert run.returncode == 0, run.stderr[-3000:]
-    experiment = tmp_path / "results" / "single"
-    folder = next((experiment / "cells").rglob("record.json")).parent
-    value = json.loads((folder / "record.json").read_text())["scores"]["bias"]
-    with (folder / "views.csv").open(newline="") as file:
-        views = list(csv.DictReader(file))
-    assert list(views[0])[-1] == "bias"
-    assert abs(sum(float(row["bias"]) for row in views) / len(views) - value) < 1e-9
-    main = pd.read_csv(experiment / "tables" / "main.csv").query("metric == 'bias' and scene == 'turntable'")
-    assert len(main) == 1 and abs(main["value"].iloc[0] - value) < 1e-6
-    page = (experiment / "report.html").read_text()
-    assert f"{value:.4f}" in page and "mean of render − ground truth" in page and "bias ↓" in page
 
 
 def test_further_scores_are_those_that_a_cell_has(tmp_path):
