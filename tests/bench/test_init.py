@@ -5,7 +5,7 @@ import pytest
 from hydra.utils import instantiate
 
 from tdgbench.bench.init import BoxAroundPoints, ColmapPoints, CubeAroundCameras, ReleasedCube, ThermalStereo
-from tdgbench.scenes import ReadOptions, SceneError
+from tdgbench.scenes import PointCloud, ReadOptions, SceneError
 from tdgbench.scenes.scene import Tracks
 from tdgbench.scenes.synthetic import SyntheticDataset
 from tests.helpers.configs import config
@@ -48,9 +48,13 @@ def facade(tmp_path_factory):
     return SyntheticDataset(folder, ReadOptions(), width=96, height=72, views=20, points=40).load("facade")
 
 
-def test_points_of_thermal_images_alone(facade, stereo: ThermalStereo):
+@pytest.fixture(scope="module")
+def cloud(facade, stereo: ThermalStereo) -> PointCloud:
+    return stereo.points(facade)
+
+
+def test_points_of_thermal_images_alone(facade, stereo: ThermalStereo, cloud):
     """The points lie on the surfaces; neither RGB images, sparse points nor test views matter; they are bytes again."""
-    cloud = stereo.points(facade)
     assert stereo.describe(facade, cloud)["points"] == len(cloud.points) > 500
     for view in facade.test:  # which the points do not know
         pixels, depths = view.camera.project(cloud.points)
@@ -87,14 +91,14 @@ def test_noise_is_averaged_over_neighbouring_pixels(facade, stereo):
     assert smoothed > 1.1 * alone and error < larger
 
 
-def test_masked_pixels_give_no_points(facade, stereo):
+def test_masked_pixels_give_no_points(facade, stereo, cloud):
     """With the left half of all views masked, no point lies in the left half of each of them."""
     half = np.arange(96)[None] >= 48
     masked = [dataclasses.replace(view, load_valid=lambda: np.repeat(half, 72, axis=0)) for view in facade.train]
     scene = dataclasses.replace(facade, train=masked)
     points = stereo.points(scene).points
     shown = [view.camera.project(points)[0][:, 0] >= 48 for view in masked]
-    assert 0 < len(points) < len(stereo.points(facade).points) and np.any(shown, axis=0).mean() > 0.99
+    assert 0 < len(points) < len(cloud.points) and np.any(shown, axis=0).mean() > 0.99
 
 
 def test_views_that_no_other_confirms_give_an_error(facade, stereo):

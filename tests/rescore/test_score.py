@@ -36,6 +36,15 @@ def experiment(small_results, tmp_path) -> Path:
     return Path(shutil.copytree(small_results, tmp_path / "a"))
 
 
+@pytest.fixture
+def msmg(experiment) -> Path:
+    """The experiment with its cell of MSMG alone."""
+    for folder in (experiment / "cells").iterdir():
+        if folder.name != "msmg":
+            shutil.rmtree(folder)
+    return experiment
+
+
 def record_of(folder: Path) -> Record:
     record = read_record(folder)
     assert record is not None
@@ -79,14 +88,14 @@ def test_an_experiment_keeps_its_scores_and_failures(experiment, capsys):
     assert "ssim, lpips, rgb_ssim, rgb_lpips computed" in capsys.readouterr().out
 
 
-def test_files_are_links_where_the_disk_has_them(experiment, monkeypatch):
-    assert score(experiment, "b", "metrics=standard", OFFLINE) == 0
+def test_files_are_links_where_the_disk_has_them(msmg, monkeypatch):
+    assert score(msmg, "b", "metrics=standard", OFFLINE) == 0
     place = f"{MSMG}/model.ply"
-    assert (experiment.with_name("b") / place).samefile(experiment / place)
+    assert (msmg.with_name("b") / place).samefile(msmg / place)
     monkeypatch.setattr(os, "link", lambda *_: (_ for _ in ()).throw(OSError("another disk")))
-    assert score(experiment, "c", "metrics=standard", OFFLINE) == 0
-    copy = experiment.with_name("c") / place
-    assert copy.read_bytes() == (experiment / place).read_bytes() and not copy.samefile(experiment / place)
+    assert score(msmg, "c", "metrics=standard", OFFLINE) == 0
+    copy = msmg.with_name("c") / place
+    assert copy.read_bytes() == (msmg / place).read_bytes() and not copy.samefile(msmg / place)
 
 
 def test_what_is_there_is_not_computed_again(experiment, monkeypatch, capsys):
@@ -103,14 +112,14 @@ def test_what_is_there_is_not_computed_again(experiment, monkeypatch, capsys):
     assert capsys.readouterr().out.count("already there") == 3
 
 
-def test_without_weights_lpips_is_tried_again(experiment):
-    assert score(experiment, "b", OFFLINE) == 0
-    first = record_of(experiment.with_name("b") / MSMG)
-    assert first.scores["lpips"] is None and first.protocol == record_of(experiment / MSMG).protocol
-    weights = experiment.with_name("vgg.pth")
+def test_without_weights_lpips_is_tried_again(msmg):
+    assert score(msmg, "b", OFFLINE) == 0
+    first = record_of(msmg.with_name("b") / MSMG)
+    assert first.scores["lpips"] is None and first.protocol == record_of(msmg / MSMG).protocol
+    weights = msmg.with_name("vgg.pth")
     torch.save({f"features.{name}": value for name, value in random_state("vgg").items()}, weights)
-    assert score(experiment, "b", f"metrics.lpips.weights={weights}") == 0
-    assert record_of(experiment.with_name("b") / MSMG).scores["lpips"] > 0
+    assert score(msmg, "b", f"metrics.lpips.weights={weights}") == 0
+    assert record_of(msmg.with_name("b") / MSMG).scores["lpips"] > 0
 
 
 def brightness(name: str, kind: type = ImageMetric):
@@ -120,46 +129,46 @@ def brightness(name: str, kind: type = ImageMetric):
     return ViewMetric(of_view=lambda shown: float(shown.rendered.known_depth.mean()), **common)
 
 
-def test_a_new_metric_is_added_alone(experiment, monkeypatch):
+def test_a_new_metric_is_added_alone(msmg, monkeypatch):
     """Of pictures, and of the model's depth; the others keep their values, also those that no file gives."""
     new = {m.name: m for m in (brightness("brightness"), brightness("mean_depth", ViewMetric))}
     assert "psnr_true" in METRICS
     for name, metric in new.items():
         monkeypatch.setitem(METRICS, name, metric)
-    assert score(experiment, "b") == 0
-    before, after = (record_of(folder / MSMG) for folder in (experiment, experiment.with_name("b")))
+    assert score(msmg, "b") == 0
+    before, after = (record_of(folder / MSMG) for folder in (msmg, msmg.with_name("b")))
     assert after.scores.keys() - before.scores.keys() == new.keys()
     assert {name: after.scores[name] for name in before.scores} == before.scores
     assert (after.protocol, after.key, after.train_scores) == (before.protocol, before.key, before.train_scores)
     assert 0 < after.scores["brightness"] < 1 < after.scores["mean_depth"]
 
 
-def test_with_another_number_all_is_computed_from_the_files(experiment, monkeypatch):
+def test_with_another_number_all_is_computed_from_the_files(msmg, monkeypatch):
     """True depths are no files of a cell."""
-    before = record_of(experiment / MSMG)
+    before = record_of(msmg / MSMG)
     monkeypatch.setattr(rescore_cell, "VERSION", 2)
     monkeypatch.setattr(rescore_cell, "protocol_of", lambda config: protocol_of(config, 2))
-    assert score(experiment, "b", OFFLINE) == 0
-    after = record_of(experiment.with_name("b") / MSMG)
+    assert score(msmg, "b", OFFLINE) == 0
+    after = record_of(msmg.with_name("b") / MSMG)
     assert after.protocol == before.protocol.replace("1-", "2-")
     assert after.scores["depth_abs_rel"] is None and before.scores["depth_abs_rel"] is not None
     for name in ("psnr", "ssim", "mae_degC", "channel_psnr", "depth_inconsistency", "barely_seen", "guess_correlation"):
         assert after.scores[name] == pytest.approx(before.scores[name], rel=1e-4), name
 
 
-def test_of_other_programs_renders_there_is_no_model(experiment, monkeypatch):
-    folder = experiment / MSMG
+def test_of_other_programs_renders_there_is_no_model(msmg, monkeypatch):
+    folder = msmg / MSMG
     content = json.loads((folder / FILE).read_text())
     content["parts"] = {}
     (folder / FILE).write_text(json.dumps(content))
     monkeypatch.setitem(METRICS, "mean_depth", brightness("mean_depth", ViewMetric))
-    assert score(experiment, "b") == 0
-    after = record_of(experiment.with_name("b") / MSMG)
+    assert score(msmg, "b") == 0
+    after = record_of(msmg.with_name("b") / MSMG)
     assert after.scores["mean_depth"] is None and "no model" in after.missing["mean_depth"]
 
 
-def test_a_pack_is_scored(experiment, tmp_path):
-    path, _ = pack(experiment, tmp_path / "a.zip", keep_paths=True)
+def test_a_pack_is_scored(msmg, tmp_path):
+    path, _ = pack(msmg, tmp_path / "a.zip", keep_paths=True)
     assert main([str(path), str(tmp_path / "b"), "metrics=standard", OFFLINE]) == 0
     assert verify(tmp_path / "b").problems == []
 
@@ -172,28 +181,26 @@ def test_changed_renders_are_refused(experiment, capsys):
     assert not (experiment.with_name("b") / MSMG).exists() and len(read_all(experiment.with_name("b"))) == 3
 
 
-def test_another_training_is_not_replaced(experiment, capsys):
-    other = Path(shutil.copytree(experiment, experiment.with_name("b")))
+def test_another_training_is_not_replaced(msmg, capsys):
+    other = Path(shutil.copytree(msmg, msmg.with_name("b")))
     content = json.loads((other / MSMG / FILE).read_text())
     content["hashes"]["model.ply"] = "0" * 64
     (other / MSMG / FILE).write_text(json.dumps(content))
     before = (other / MSMG / FILE).read_bytes()
-    assert score(experiment, "b", OFFLINE) == 1
+    assert score(msmg, "b", OFFLINE) == 1
     assert "holds another training; name a new folder" in capsys.readouterr().out
     assert (other / MSMG / FILE).read_bytes() == before
 
 
-def test_weights_that_were_replaced_are_refused(experiment, capsys, monkeypatch):
-    weights = experiment.with_name("squeeze.pth")
+def test_weights_that_were_replaced_are_refused(msmg, capsys, monkeypatch):
+    weights = msmg.with_name("squeeze.pth")
     torch.save({f"features.{name}": value for name, value in random_state("squeeze").items()}, weights)
-    assert score(experiment, "b", "metrics.lpips.net=squeeze", f"metrics.lpips.weights={weights}") == 0
+    assert score(msmg, "b", "metrics.lpips.net=squeeze", f"metrics.lpips.weights={weights}") == 0
     weights.write_bytes(b"another")
     os.utime(weights, (1, 1))
-    assert any(
-        "it is not the file that the scores were made with" in p for p in verify(experiment.with_name("b")).problems
-    )
+    assert any("it is not the file that the scores were made with" in p for p in verify(msmg.with_name("b")).problems)
     monkeypatch.setattr(rescore_cell, "VERSION", 2)
-    assert score(experiment.with_name("b"), "c") == 1
+    assert score(msmg.with_name("b"), "c") == 1
     assert "squeeze.pth is not the file of the first scores" in capsys.readouterr().out
 
 

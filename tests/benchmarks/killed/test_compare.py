@@ -12,20 +12,26 @@ from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
 
 
-@pytest.fixture
-def pair(small_results, tmp_path):
-    """Two copies of a finished cell, with tables and report."""
-    folders = []
+@pytest.fixture(scope="module")
+def two(small_results, tmp_path_factory):
+    """A folder with two copies of a finished cell, with tables and report."""
+    both = tmp_path_factory.mktemp("two")
     for name in ("calm", "killed"):
-        folder = tmp_path / name / small_results.name
+        folder = both / name / small_results.name
         shutil.copytree(small_results, folder)
         for path in list((folder / "cells").rglob("record.json")):
             if "tdg/synthetic/turntable" not in path.as_posix():
                 shutil.rmtree(path.parent)
         (folder / "experiment.json").write_text("{}")
         write_report(folder, build_tables(folder))
-        folders.append(folder)
-    return folders
+    return both
+
+
+@pytest.fixture
+def pair(two, tmp_path):
+    """Copies of both, to be changed."""
+    shutil.copytree(two, tmp_path, dirs_exist_ok=True)
+    return [next((tmp_path / name).iterdir()) for name in ("calm", "killed")]
 
 
 def cell(folder):
