@@ -25,11 +25,11 @@ from tests.helpers.page import Page
 from tests.helpers.paths import ROOT
 from tests.helpers.training import digest_of_all, train_killed
 
-ITERATIONS = 36
-KILLED_AFTER = (1, 17, 18, 30)  # 18: the first of two equal stages is over
+ITERATIONS = 24
+KILLED_AFTER = (1, 11, 12, 18)  # 12: the first of two equal stages is over
 OFTEN = (
-    "budget.density.start=5", "budget.density.every=5", "budget.sh_every=10",
-    "budget.density.opacity_reset_every=12", "budget.density.reset_recovery=1", f"budget.iterations={ITERATIONS}",
+    "budget.density.start=4", "budget.density.every=4", "budget.sh_every=6",
+    "budget.density.opacity_reset_every=8", "budget.density.reset_recovery=1", f"budget.iterations={ITERATIONS}",
     "budget.density.max_gaussians=400",
 )  # fmt: skip
 UNTRAINED = {"renders", "model"}  # of files made elsewhere; their tests run and verify cells
