@@ -12,7 +12,7 @@ from tests.helpers.scenes import small_dataset
 
 SMALL = (
     "dataset.loader.width=64", "dataset.loader.height=48", "dataset.loader.views=15", "dataset.loader.points=1500",
-    "budget=demo", "budget.iterations=40", "metrics.lpips.download=false", "study.scenes=[turntable]",
+    "budget=demo", "budget.iterations=10", "metrics.lpips.download=false", "study.scenes=[turntable]",
 )  # fmt: skip
 FEW = (
     "~study.methods.tdg", "~study.methods.tdg_released", "~study.methods.msmg", "~study.captures.noise",
