@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from tdgbench.data.prepare.stages import Stages
-from tests.helpers.command import tdgbench
+from tests.helpers.command import tdgbench_here
 from tests.helpers.paths import ROOT
 from tests.helpers.relief import FOCAL, places, write_relief
 from tests.helpers.waiting import waited
@@ -46,7 +46,7 @@ def test_killed_at_five_moments_it_ends_with_the_same_bytes(tmp_path):
     assert pairs[2] == 66 and pairs[3] <= 66 - 64
     content = {}
     for name, begun in (("killed", STEPS[4:]), ("whole", STEPS)):
-        run = tdgbench(tmp_path / name, *COMMAND)
+        run = tdgbench_here(tmp_path / name, *COMMAND)
         assert run.returncode == 0, run.stderr
         assert [step for step in STEPS if f"{step}: " in run.stdout] == list(begun)
         assert sorted(path.name for path in (tmp_path / name).iterdir()) == [".out.lock", "camera", "out"]
