@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -67,6 +68,7 @@ class Interruption:
         if not self._has_begun:
             say(f"interrupted by {self.signal.name}", stderr=True)
             os._exit(self.status)
+        sys.unraisablehook = _report_unraisable
         signal.signal(signal.SIGALRM, self._repeat)
         signal.setitimer(signal.ITIMER_REAL, REPEAT_SECONDS, REPEAT_SECONDS)
         raise Interrupted(self.signal.name)
@@ -102,6 +104,12 @@ def end_with_parent() -> None:
         os._exit(128 + signal.SIGKILL)
 
     threading.Thread(target=watch, name="parent", daemon=True).start()
+
+
+def _report_unraisable(given: Any) -> None:
+    """Report an exception in a destructor, unless a signal raised it there: it will be raised again elsewhere."""
+    if not isinstance(given.exc_value, Interrupted):
+        sys.__unraisablehook__(given)
 
 
 def _set(handlers: Mapping[signal.Signals, Any]) -> None:

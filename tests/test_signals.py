@@ -118,3 +118,27 @@ def test_a_signal_after_the_work_changes_no_status():
     code = f"{at_exit}sys.argv = ['tdgbench', '--version']; from tdgbench.__main__ import run; run()"
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert (run.returncode, run.stderr) == (0, "")
+
+
+SWALLOWED = """
+import os, signal, time
+from tdgbench import signals
+signals.REPEAT_SECONDS = 0.2
+class Ends:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+with signals.interruptible() as interruption:
+    interruption.begin()
+    try:
+        Ends()
+        time.sleep(30)
+    except signals.Interrupted:
+        print("interrupted", interruption.status)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no timer that sends signals")
+def test_a_signal_that_a_destructor_swallows_is_raised_again_and_nothing_else_printed():
+    run = subprocess.run([sys.executable, "-c", SWALLOWED], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert (run.stdout, run.stderr) == ("interrupted 143\n", "")
