@@ -20,7 +20,9 @@ class GrowthRule:
     views: PositiveInt  # training views that a round renders
     z: NonNegativeFloat  # standard deviations of noise by which the halves of a Gaussian that grows differ
     min_weight: NonNegativeFloat  # px of full size per view that shows a Gaussian; one with less is faint
-    clearance: NonNegativeFloat  # standard deviations between a Gaussian's centre and the cameras; a closer one is pruned
+    clearance: (
+        NonNegativeFloat  # standard deviations between a Gaussian's centre and the cameras; a closer one is pruned
+    )
 
 
 @dataclass(frozen=True)
@@ -42,9 +44,10 @@ class SettlingRule:
 
     Every `every` iterations the held-out views are rendered: a check. The training stalls once a window of checks, a
     share of those at the current resolution, gains less than `gain` on the window before; at the full resolution, less
-    by the gain's standard error, so that noise hides no gain. Below the full resolution it then goes on to the next
-    one. At the full resolution, or after two resolutions in a row without a new best, it settles at the best: the
-    held-out views are trained on as well, no Gaussians are added, and all learning rates fall log-linearly for `tail`.
+    by the gain's standard error, so that noise hides no gain, and no check counts before anything has grown
+    (`last_after`). Below the full resolution it then goes on to the next one. At the full resolution, or after two
+    resolutions in a row without a new best, it settles at the best: the held-out views are trained on as well, no
+    Gaussians are added, and all learning rates fall log-linearly for `tail`.
     A training that never stalls settles that long before its last iteration.
     """
 
@@ -54,6 +57,7 @@ class SettlingRule:
     every: PositiveInt  # iterations between checks
     checks: PositiveInt  # in a window below the full resolution, at least
     last_checks: PositiveInt  # in a window at the full resolution, at least
+    last_after: NonNegativeInt  # iterations before the first check at the full resolution
     window: Annotated[float, Field(gt=0, le=0.5)]  # share of the checks at a resolution that is in a window
     gain: PositiveFloat  # dB, the mean over held-out views
     tail: PositiveFloat  # iterations after settling, as a share of those before

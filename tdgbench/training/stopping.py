@@ -113,8 +113,10 @@ class Settling(Stopping):
             return None
         if curriculum.scale != self._scale:  # by the schedule
             self._leave_resolution()
-        self._psnrs.append(self._held_out_psnrs())
         is_full = curriculum.is_at_full_resolution
+        if is_full and iteration <= rule.last_after:
+            return None
+        self._psnrs.append(self._held_out_psnrs())
         last = last_window(rule, self._psnrs, rule.last_checks if is_full else rule.checks)
         if last is None or last.gain + is_full * last.standard_error >= rule.gain:
             return None
