@@ -20,9 +20,7 @@ class GrowthRule:
     views: PositiveInt  # training views that a round renders
     z: NonNegativeFloat  # standard deviations of noise by which the halves of a Gaussian that grows differ
     min_weight: NonNegativeFloat  # px of full size per view that shows a Gaussian; one with less is faint
-    clearance: (
-        NonNegativeFloat  # standard deviations between a Gaussian's centre and the cameras; a closer one is pruned
-    )
+    clearance: NonNegativeFloat  # standard deviations between a Gaussian's centre and a camera; others are pruned
 
 
 @dataclass(frozen=True)
