@@ -8,7 +8,7 @@ from tdgbench.scenes.synthetic.truth import read_truth
 from tdgbench.thermal import ThermalCamera, Unknown, estimate_camera
 from tdgbench.thermal.camera import normalized_truth
 from tdgbench.thermal.maps import evaluate
-from tests.helpers.drift import errors_of
+from tests.helpers.camera_errors import errors_of
 from tests.helpers.layouts import celsius
 
 
