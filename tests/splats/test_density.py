@@ -1,4 +1,5 @@
 import dataclasses
+from collections.abc import Set
 
 import pytest
 import torch
@@ -117,8 +118,8 @@ def test_cap_keeps_the_hottest(rules):
     assert change.cloned == 1 and rows_of(result, [last]) == [2]
 
 
-def decided(density: DensityControl, faint: set[int], at_camera: set[int] = frozenset()) -> int:
-    """Number of Gaussians after a round that grows none, where those at x in `faint` are; 2 rounds show all."""
+def decided(density: DensityControl, faint: Set[int], at_camera: Set[int] = frozenset()) -> int:
+    """Number of Gaussians after a round without growth; those at x in `faint`, `at_camera` are. 2 rounds show all."""
     state = density.state
     x = state.split(state.values).means[:, 0].round().int().tolist()
     none = torch.zeros(len(x))
