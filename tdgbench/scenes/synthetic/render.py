@@ -55,7 +55,6 @@ class Hits(NamedTuple):
 
     points: np.ndarray  # (N, 3) in m
     depth: np.ndarray  # (N,) z in m
-    normals: np.ndarray  # (N, 3)
     owner: np.ndarray  # (N,) index of the object
 
 
@@ -63,27 +62,26 @@ def trace(world: World, camera: Camera, pixels: np.ndarray) -> Hits:
     """Return the hits of the rays through image points (N, 2) in px."""
     local = np.concatenate([(pixels - camera.K[:2, 2]) / camera.K[[0, 1], [0, 1]], np.ones((len(pixels), 1))], axis=1)
     rays = local @ camera.world_to_camera[:3, :3]  # z = 1 in the camera, so that t is the depth
-    depth = np.full(len(pixels), np.inf)
-    normals = np.zeros((len(pixels), 3))
-    owner = np.full(len(pixels), -1)
+    depth, owner, eye = np.full(len(pixels), np.inf), np.full(len(pixels), -1), camera.center
     for index, (solid, _) in enumerate(world.objects):
-        t, normal = solid.intersect(camera.center, rays)
-        nearer = t < depth
-        depth[nearer], normals[nearer], owner[nearer] = t[nearer], normal[nearer], index
+        t = solid.intersect(eye, rays)
+        owner[t < depth] = index
+        np.minimum(depth, t, out=depth)
     if (owner < 0).any():
         raise ValueError(f"{int((owner < 0).sum())} rays leave the world; it must enclose its cameras")
-    return Hits(camera.center + depth[:, None] * rays, depth, normals, owner)
+    return Hits(eye + depth[:, None] * rays, depth, owner)
 
 
 def shade(world: World, hits: Hits) -> tuple[np.ndarray, np.ndarray]:
     """Return colour (N, 3) and temperature (N,) in °C of hits."""
     light = np.array(world.light) / np.linalg.norm(world.light)
-    diffuse = np.abs(hits.normals @ light)
-    color, degC = np.zeros_like(hits.points), np.zeros_like(hits.depth)
-    for index, (_, material) in enumerate(world.objects):
-        own = hits.owner == index
-        if own.any():
-            color[own], degC[own] = material.shade(hits.points[own])
+    color, degC, diffuse = np.zeros_like(hits.points), np.zeros_like(hits.depth), np.zeros_like(hits.depth)
+    for index, (solid, material) in enumerate(world.objects):
+        own = np.flatnonzero(hits.owner == index)
+        if len(own):
+            points = hits.points[own]
+            color[own], degC[own] = material.shade(points)
+            diffuse[own] = np.abs(solid.normals(points) @ light)
     if world.degC_per_metre:
         degC += world.degC_per_metre * hits.points[:, 0]
     color *= (AMBIENT + (1 - AMBIENT) * diffuse)[:, None] * world.exposure

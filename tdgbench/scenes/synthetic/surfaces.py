@@ -18,8 +18,11 @@ NEWTON = 8  # steps, that meet hills within rounding
 class Solid(Protocol):
     """A surface that rays can hit."""
 
-    def intersect(self, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the smallest t > 0 (N,) with origin + t · rays (N, 3) on the surface, else inf; normals (N, 3)."""
+    def intersect(self, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
+        """Return the smallest t > 0 (N,) with origin + t · rays (N, 3) on the surface, else inf."""
+
+    def normals(self, points: np.ndarray) -> np.ndarray:
+        """Return the normals (N, 3), of length 1, at points (N, 3) of the surface."""
 
 
 @dataclass(frozen=True)
@@ -29,15 +32,16 @@ class Sphere:
 
     def intersect(self, origin, rays):
         offset = origin - np.array(self.center)
-        a = (rays * rays).sum(axis=1)
+        a = rays[:, 0] ** 2 + rays[:, 1] ** 2 + rays[:, 2] ** 2
         b = rays @ offset
         discriminant = b * b - a * (offset @ offset - self.radius**2)
         root = np.sqrt(np.maximum(discriminant, 0))
         near, far = (-b - root) / a, (-b + root) / a
         t = np.where(near > EPSILON, near, far)
-        t = np.where((discriminant >= 0) & (t > EPSILON), t, np.inf)
-        normal = (offset + np.where(np.isfinite(t), t, 0)[:, None] * rays) / self.radius
-        return t, normal
+        return np.where((discriminant >= 0) & (t > EPSILON), t, np.inf)
+
+    def normals(self, points):
+        return (points - np.array(self.center)) / self.radius
 
 
 @dataclass(frozen=True)
@@ -49,16 +53,20 @@ class Rectangle:
     half_v: tuple[float, float, float]
 
     def intersect(self, origin, rays):
-        u, v = np.array(self.half_u), np.array(self.half_v)
-        normal = np.cross(u, v)
-        normal = normal / np.linalg.norm(normal)
-        facing = rays @ normal
+        u, v, normal = np.array(self.half_u), np.array(self.half_v), self._normal
         with np.errstate(divide="ignore", invalid="ignore"):
-            t = (np.array(self.center) - origin) @ normal / facing
+            t = (np.array(self.center) - origin) @ normal / (rays @ normal)
             hit = origin + t[:, None] * rays - np.array(self.center)
             inside = (np.abs(hit @ u) <= u @ u) & (np.abs(hit @ v) <= v @ v)
-        t = np.where(inside & (t > EPSILON), t, np.inf)
-        return t, np.where(facing[:, None] > 0, -normal, normal)
+        return np.where(inside & (t > EPSILON), t, np.inf)
+
+    def normals(self, points):
+        return np.broadcast_to(self._normal, points.shape)
+
+    @property
+    def _normal(self) -> np.ndarray:
+        normal = np.cross(self.half_u, self.half_v)
+        return normal / np.linalg.norm(normal)
 
 
 @dataclass(frozen=True)
@@ -70,19 +78,26 @@ class Cuboid:
     yaw: float = 0.0
 
     def intersect(self, origin, rays):
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        to_box = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        to_box = self._to_box
         o, d = to_box @ (origin - np.array(self.center)), rays @ to_box.T
         with np.errstate(divide="ignore", invalid="ignore"):
             t1, t2 = (-np.array(self.half_size) - o) / d, (np.array(self.half_size) - o) / d
         entry, leave = np.minimum(t1, t2), np.maximum(t1, t2)
-        axis = entry.argmax(axis=1)
-        near, far = entry.max(axis=1), leave.min(axis=1)
-        t = np.where((near <= far) & (near > EPSILON), near, np.inf)
-        local = np.zeros_like(rays)
-        rows = np.arange(len(rays))
-        local[rows, axis] = -np.sign(d[rows, axis])
-        return t, local @ to_box
+        near = np.maximum(np.maximum(entry[:, 0], entry[:, 1]), entry[:, 2])
+        far = np.minimum(np.minimum(leave[:, 0], leave[:, 1]), leave[:, 2])
+        return np.where((near <= far) & (near > EPSILON), near, np.inf)
+
+    def normals(self, points):
+        local = (points - np.array(self.center)) @ self._to_box.T / np.array(self.half_size)
+        face = np.abs(local).argmax(axis=1, keepdims=True)
+        axes = np.zeros_like(local)
+        np.put_along_axis(axes, face, np.sign(np.take_along_axis(local, face, axis=1)), axis=1)
+        return axes @ self._to_box
+
+    @property
+    def _to_box(self) -> np.ndarray:
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
 
 
 @dataclass(frozen=True)
@@ -95,7 +110,7 @@ class Cylinder:
 
     def intersect(self, origin, rays):
         offset = origin - np.array(self.base)
-        a = (rays[:, :2] ** 2).sum(axis=1)
+        a = rays[:, 0] ** 2 + rays[:, 1] ** 2
         b = rays[:, :2] @ offset[:2]
         discriminant = b * b - a * (offset[:2] @ offset[:2] - self.radius**2)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -103,13 +118,14 @@ class Cylinder:
             z = offset[2] + side * rays[:, 2]
             on_side = (discriminant >= 0) & (side > EPSILON) & (z >= 0) & (z <= self.height)
             top = (self.height - offset[2]) / rays[:, 2]
-            in_top_plane = offset[:2] + top[:, None] * rays[:, :2]
-            on_top = (top > EPSILON) & ((in_top_plane**2).sum(axis=1) <= self.radius**2)
-        side, top = np.where(on_side, side, np.inf), np.where(on_top, top, np.inf)
-        t = np.minimum(side, top)
-        hit = offset + np.where(np.isfinite(t), t, 0)[:, None] * rays
-        radial = np.concatenate([hit[:, :2] / self.radius, np.zeros((len(rays), 1))], axis=1)
-        return t, np.where((side <= top)[:, None], radial, np.array([0.0, 0.0, 1.0]))
+            x, y = (offset[i] + top * rays[:, i] for i in (0, 1))
+            on_top = (top > EPSILON) & (x**2 + y**2 <= self.radius**2)
+        return np.minimum(np.where(on_side, side, np.inf), np.where(on_top, top, np.inf))
+
+    def normals(self, points):
+        local = points - np.array(self.base)
+        radial = np.column_stack([local[:, :2] / self.radius, np.zeros(len(local))])
+        return np.where(local[:, 2:] >= self.height - EPSILON, np.array([0.0, 0.0, 1.0]), radial)
 
 
 @dataclass(frozen=True)
@@ -136,10 +152,12 @@ class Hills:
             x, y, z = (origin + t[:, None] * down).T
             ground, along_x, along_y = self.height(x, y)
             t = t - (z - ground) / (down[:, 2] - along_x * down[:, 0] - along_y * down[:, 1])
-        x, y, _ = (origin + t[:, None] * down).T
-        _, along_x, along_y = self.height(x, y)
-        normal = np.stack([-along_x, -along_y, np.ones_like(x)], axis=1)
-        return np.where(falling & (t > EPSILON), t, np.inf), normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        return np.where(falling & (t > EPSILON), t, np.inf)
+
+    def normals(self, points):
+        _, along_x, along_y = self.height(points[:, 0], points[:, 1])
+        normal = np.stack([-along_x, -along_y, np.ones_like(along_x)], axis=1)
+        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,26 @@ DOWN = np.array([[0.0, 0.0, -1.0]])
      (Rectangle((0, 0, 0.5), (1, 0, 0), (0, 1, 0)), 0.5)],
 )  # fmt: skip
 def test_rays_from_above(solid, height):
-    t, normal = solid.intersect(np.array([0.1, 0.1, 5.0]), np.array([[-0.02, -0.02, -1.0]]) * 2)
-    hit = 5.0 - 2 * t[0]
-    assert hit == pytest.approx(height, abs=0.02)
-    assert normal[0, 2] > 0.95 and np.linalg.norm(normal[0]) == pytest.approx(1)
-    missed, _ = solid.intersect(np.array([9.0, 9.0, 5.0]), DOWN)
-    assert np.isinf(missed[0])
-    behind, _ = solid.intersect(np.array([0.0, 0.0, 5.0]), -DOWN)
-    assert np.isinf(behind[0])
+    eye, rays = np.array([0.1, 0.1, 5.0]), np.array([[-0.02, -0.02, -1.0]]) * 2
+    points = eye + solid.intersect(eye, rays)[:, None] * rays
+    (normal,) = solid.normals(points)
+    assert points[0, 2] == pytest.approx(height, abs=0.02)
+    assert normal[2] > 0.95 and np.linalg.norm(normal) == pytest.approx(1)
+    assert np.isinf(solid.intersect(np.array([9.0, 9.0, 5.0]), DOWN)[0])
+    assert np.isinf(solid.intersect(np.array([0.0, 0.0, 5.0]), -DOWN)[0])
+
+
+@pytest.mark.parametrize("solid", [Sphere((0.1, 0.2, 1), 0.5), Cuboid((0, 0.1, 1), (1, 2, 0.25), 0.7),
+                                   Cylinder((0.1, 0, 0.2), 1, 0.75)])  # fmt: skip
+def test_normals_point_out_of_solids(solid):
+    rng = np.random.default_rng(0)
+    eye, rays = np.array([4.0, -3.0, 2.5]), rng.normal(size=(20_000, 3))
+    t = solid.intersect(eye, rays)
+    rays, t = rays[np.isfinite(t)], t[np.isfinite(t)]
+    points = eye + t[:, None] * rays
+    normals = solid.normals(points)
+    assert len(points) > 20 and ((normals * rays).sum(axis=1) < 0).all()
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1)
 
 
 def test_points_lie_on_their_surfaces():
@@ -37,7 +49,7 @@ def test_points_lie_on_their_surfaces():
     rays = rng.normal(size=(5000, 3))
     cylinder = Cylinder((0.2, 0.1, -0.5), 0.8, 1.0)
     origin = np.array([3.0, 1.0, 1.0])
-    t, _ = cylinder.intersect(origin, rays)
+    t = cylinder.intersect(origin, rays)
     hit = (origin + t[:, None] * rays)[np.isfinite(t)] - np.array(cylinder.base)
     radius = np.linalg.norm(hit[:, :2], axis=1)
     on_side, on_top = np.isclose(radius, 0.8), np.isclose(hit[:, 2], 1.0)
@@ -49,13 +61,13 @@ def test_rays_meet_hills_on_their_surface():
     rng = np.random.default_rng(0)
     rays = np.concatenate([rng.uniform(-0.6, 0.6, (2000, 2)), np.full((2000, 1), -1.0)], axis=1)
     origin = np.array([3.0, -1.0, 20.0])
-    t, normal = hills.intersect(origin, rays)
-    x, y, z = (origin + t[:, None] * rays).T
+    points = origin + hills.intersect(origin, rays)[:, None] * rays
+    normal, (x, y, z) = hills.normals(points), points.T
     step = 1e-5
     slopes = [(hills.height(x + step * (1 - i), y + step * i)[0] - z) / step for i in range(2)]
     assert np.ptp(z) > 2 and np.abs(z - hills.height(x, y)[0]).max() < 1e-9
     assert -normal[:, :2].T / normal[:, 2] == pytest.approx(np.array(slopes), abs=1e-4)
-    assert np.isinf(hills.intersect(origin, -rays)[0]).all()
+    assert np.isinf(hills.intersect(origin, -rays)).all()
 
 
 def test_waves_are_smooth_and_seeded():
