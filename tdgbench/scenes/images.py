@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 from scipy.ndimage import distance_transform_edt
 
 from tdgbench.scenes.errors import SceneError
@@ -29,6 +29,7 @@ COUNT_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")
 FLOAT_MODE = "F"
 READ_AS_THEY_ARE = ("L", "RGB", FLOAT_MODE, *COUNT_MODES)
 MOST_COUNTS = 65535  # of 16 bits
+LFS_POINTER = b"version https://git-lfs"  # how such a file begins
 
 Storage = Literal["8-bit", "16-bit", "float"]
 
@@ -44,12 +45,27 @@ def opened_image(path: Path, content: bytes | None = None) -> Iterator[Image.Ima
     remedy = f"copy it again, or export it as {', '.join(FORMATS)}"
     with decoding(path, "an image", remedy), warnings.catch_warnings():
         warnings.filterwarnings("ignore", module=r"PIL\.")
-        with Image.open(source, formats=FORMATS) as image:
+        try:
+            opened = Image.open(source, formats=FORMATS)
+        except UnidentifiedImageError:
+            raise _not_an_image(path, remedy) from None
+        with opened as image:
             if image.width * image.height > MAX_PIXELS:
                 size = f"{image.width}×{image.height}"
                 raise SceneError(f"{path} is {size} px; an image may have {MAX_PIXELS} pixels. Resize it")
             _check_one_picture(image, path)
             yield image
+
+
+def _not_an_image(path: Path, remedy: str) -> SceneError:
+    """Return the error of a file whose first bytes are of no known format."""
+    with path.open("rb") as file:
+        head = file.read(len(LFS_POINTER))
+    if not head:
+        return SceneError(f"{path} is empty; copy it again")
+    if head == LFS_POINTER:
+        return SceneError(f"{path} is a pointer of Git LFS, not the file itself; get that with git lfs pull")
+    return SceneError(f"{path} cannot be read as an image: its content is of no known format; {remedy}")
 
 
 def _check_one_picture(image: Image.Image, path: Path) -> None:

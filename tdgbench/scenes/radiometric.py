@@ -134,16 +134,21 @@ def read_thermogram(path: Path) -> Thermogram:
 def dji_counts(path: Path) -> np.ndarray | None:
     """Return the raw counts (H, W) of a radiometric JPEG of DJI, little-endian in its APP3 segments; None of others.
 
-    What they mean in °C only DJI's SDK says, or a user. Raises SceneError if there are not as many as pixels.
+    Zenmuse XT S has them in APP4, and something smaller in APP3 (thiagosantws/UAV_Thermal_Scout 57f5063). What they
+    mean in °C only DJI's SDK says, or a user. Raises SceneError if there are not as many as pixels.
     """
     with opened_image(path) as image:
         if image.format == "TIFF" or _maker(image) != "DJI":
             return None
         (width, height), segments = image.size, getattr(image, "applist", [])
-    raw = np.frombuffer(b"".join(data for name, data in segments if name == "APP3"), "<u2")
-    if len(raw) != width * height:
-        raise SceneError(f"{path} has {len(raw)} raw counts for {width}×{height} pixels; copy it again from the camera")
-    return raw.reshape(height, width)
+    found = [b"".join(data for name, data in segments if name == segment) for segment in ("APP3", "APP4")]
+    raw = next((data for data in found if len(data) == 2 * width * height), None)
+    if raw is None:
+        raise SceneError(
+            f"{path} has {len(found[0])} bytes of raw data for {width}×{height} pixels of two bytes: a camera that is "
+            "not known here, or a damaged file; export it as float TIFF with DJI's SDK, or copy it again"
+        )
+    return np.frombuffer(raw, "<u2").reshape(height, width)
 
 
 def _decode_flir(content: bytes, path: Path) -> Thermogram:

@@ -107,7 +107,8 @@ def test_cut_images_are_named(tmp_path, suffix):
     whole = path.read_bytes()
     for size in (0, 4, 30, len(whole) // 2, len(whole) - 200):
         path.write_bytes(whole[:size])
-        with pytest.raises(SceneError, match=rf"cut\{suffix} cannot be read as an image"):
+        what = "cannot be read as an image" if size else "is empty; copy it again"
+        with pytest.raises(SceneError, match=rf"cut\{suffix} {what}"):
             read_image(path)
 
 
@@ -131,5 +132,8 @@ def test_modes_of_pixels(tmp_path):
 
 def test_only_images_are_parsed(tmp_path):
     (tmp_path / "a.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")
-    with pytest.raises(SceneError, match=r"a\.png cannot be read as an image: cannot identify"):
+    with pytest.raises(SceneError, match=r"a\.png cannot be read as an image: its content is of no known format"):
+        read_image(tmp_path / "a.png")
+    (tmp_path / "a.png").write_bytes(b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
+    with pytest.raises(SceneError, match=r"a\.png is a pointer of Git LFS"):
         read_image(tmp_path / "a.png")

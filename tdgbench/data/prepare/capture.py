@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 from skimage.exposure import equalize_adapthist
 
-from tdgbench.data.prepare.places import GPS, read_gps
+from tdgbench.data.prepare.places import GPS, camera_name, read_gps, read_height
 from tdgbench.data.prepare.report import FileReport, Report
 from tdgbench.data.prepare.resample import Size
 from tdgbench.data.prepare.sources import Sources, ViewFiles
@@ -32,6 +32,7 @@ from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
 
 JPEG = (".jpg", ".jpeg")
 TAILS = 0.5, 99.5  # percentiles of a thermal image that become black and white in its picture for COLMAP
+NEARLY_ALL = 0.8  # of the views: others, of another kind, are left out; with fewer, nobody knows what is meant
 CLIP_LIMIT = 0.02  # of CLAHE, as a share of a tile's pixels
 
 
@@ -46,12 +47,14 @@ class Kind(NamedTuple):
     is_celsius: bool
     is_one_file: bool  # the RGB image is the photo inside the thermal file
     is_thermal_alone: bool = False
+    camera: str = ""  # as the thermal file's EXIF data name it
 
     def __str__(self) -> str:
-        if self.is_thermal_alone:
-            return f"{self.thermal[0]}×{self.thermal[1]}" + ("" if self.is_celsius else " without temperatures")
-        sizes = f"RGB {self.rgb[0]}×{self.rgb[1]} and thermal {self.thermal[0]}×{self.thermal[1]}"
-        return sizes + ("" if self.is_celsius else " without temperatures") + (" in one file" * self.is_one_file)
+        sizes = f"{self.thermal[0]}×{self.thermal[1]}"
+        if not self.is_thermal_alone:
+            sizes = f"RGB {self.rgb[0]}×{self.rgb[1]} and thermal {sizes}"
+        by = f" by {self.camera}" if self.camera else ""
+        return sizes + by + ("" if self.is_celsius else " without temperatures") + (" in one file" * self.is_one_file)
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,7 @@ class Capture:
     """Views of one kind, whose images wait in a folder. names: image file by view.
 
     mappings: where thermal images lie in the photos inside their files, by view, where the files state it. places: of
-    the pictures that COLMAP sees, by view, where the files state them.
+    the pictures that COLMAP sees, and heights above where a drone took off in m, by view, where the files state them.
     """
 
     folder: Path
@@ -82,6 +85,7 @@ class Capture:
     names: dict[str, str] = field(default_factory=dict)
     mappings: dict[str, PhotoMapping] = field(default_factory=dict)
     places: dict[str, GPS] = field(default_factory=dict)
+    heights: dict[str, float] = field(default_factory=dict)
 
     def rgb(self, view: str) -> np.ndarray | None:
         """Return the RGB image (h, w, 3), float32 in [0, 1], if there is one."""
@@ -122,32 +126,46 @@ def read_capture(
                 thermal = content.thermal.shape[1::-1]
                 rgb_size = thermal if content.rgb is None else content.rgb.shape[1::-1]
                 is_one_file = files.rgb is None and not thermal_alone
-                kind = Kind(rgb_size, thermal, content.thermal.ndim == 2, is_one_file, thermal_alone)
+                camera = camera_name(files.thermal)
+                kind = Kind(rgb_size, thermal, content.thermal.ndim == 2, is_one_file, thermal_alone, camera)
                 kinds.setdefault(kind, []).append(files.view)
                 settings[content.settings] += 1
             count(index + 1)
     if not kinds:
         raise too_few(folder, 0, report)
-    if len(kinds) > 1:
-        described = [
-            f"{len(views)} with {kind} ({views[0]} …)"
-            for kind, views in sorted(kinds.items(), key=lambda item: -len(item[1]))
-        ]
-        raise SceneError(
-            f"{folder} holds views of different cameras or settings: {'; '.join(described[:4])}. One scene is of one "
-            "camera, or pair of them, in one orientation: prepare each kind from a folder of its own"
-        )
-    (capture.kind,) = kinds
+    capture.kind = _main_kind(folder, kinds)
+    for kind, views in kinds.items():
+        if kind != capture.kind:
+            for entry in report.files:
+                if entry.view in views:
+                    entry.status, entry.reason = "left out", f"is {kind}, and the others are {capture.kind}"
+                    for facts in (capture.names, capture.places, capture.heights, capture.mappings):
+                        facts.pop(entry.view, None)  # type: ignore[attr-defined]
     report.rgb_size = None if thermal_alone else capture.kind.rgb
     report.thermal_size = capture.kind.thermal
     if not capture.kind.is_celsius:
-        known = f"whose °C {folder / FILE} gives" if is_there(folder / FILE) else "without °C: errors need a range"
+        known = f"whose °C {folder / FILE} gives"
+        if not is_there(folder / FILE):
+            known = "without °C: errors need a range, by --degC-per-count, temperature.json or DJI's SDK (docs/data.md)"
         report.assumptions.append(f"thermal images show values {known}")
     for stated, number in settings.most_common(1):
         others = f" in {number} files; {len(settings) - 1} other settings" if len(settings) > 1 else ""
         if stated:
             report.assumptions.append(f"temperatures are the object's, as set in the camera: {stated}{others}")
     return capture
+
+
+def _main_kind(folder: Path, kinds: dict[Kind, list[str]]) -> Kind:
+    """Return the kind of all views, or of nearly all of them. Raises SceneError if there is none."""
+    ranked = sorted(kinds.items(), key=lambda item: -len(item[1]))
+    if len(ranked[0][1]) < NEARLY_ALL * sum(map(len, kinds.values())):
+        described = [f"{len(views)} with {kind} ({views[0]} …)" for kind, views in ranked]
+        raise SceneError(
+            f"{folder} holds views of different cameras or settings: {'; '.join(described[:4])}. One scene is of one "
+            "camera, or pair of them, in one orientation: prepare each kind from a folder of its own, or name its "
+            "files by --pairs"
+        )
+    return ranked[0][0]
 
 
 def read_view(files: ViewFiles, scale: CountScale) -> ViewContent:
@@ -211,10 +229,10 @@ def holds_celsius(path: Path, scale: CountScale) -> bool:
 
 def too_few(folder: Path, count: int, report: Report) -> SceneError:
     """Return the error of a folder with too few views for a scene."""
-    reasons = "; ".join(file.reason for file in report.files if file.reason)[:400]
+    reasons = report.reasons()
     return SceneError(
         f"{folder} holds {count} usable pictures; structure from motion needs 3, and a good scene 30 or more. "
-        "Take more, or extract temperatures alone with --no-sfm" + (f" ({reasons})" if reasons else "")
+        + (f"Others are of no use: {reasons}" if reasons else "Take more, or extract temperatures alone with --no-sfm")
     )
 
 
@@ -230,6 +248,8 @@ def _store(capture: Capture, files: ViewFiles, content: ViewContent, index: int)
     capture.names[files.view] = name
     if (gps := read_gps(files.rgb or files.thermal)) is not None:
         capture.places[files.view] = gps
+    if (height := read_height(files.rgb or files.thermal)) is not None:
+        capture.heights[files.view] = height
     if content.mapping is not None:
         capture.mappings[files.view] = content.mapping
 

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
+import shlex
 from pathlib import Path
 from typing import get_args
 
 from tdgbench.data.prepare.calibration import read_calibration
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
+from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.sfm import CAMERA_MODELS, Matching, SfmOptions
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.radiometric import PhotoMapping
 from tdgbench.scenes.temperature import CountScale
 from tdgbench.terminal import say
+
+FEW = 0.5  # of the files: with fewer views the command does not say how to train
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,9 +53,24 @@ def run(arguments: argparse.Namespace) -> int:
     report = prepare_scene(arguments.source, arguments.out, _options(arguments))
     say(report.text().rstrip())
     if not arguments.no_sfm:
-        say(f"check: tdgbench data check {arguments.out}")
-        say(f"train: tdgbench method=3dgs dataset=folder data.root={arguments.out}")
+        for line in next_steps(str(arguments.out), report):
+            say(line)
     return 0 if report.is_complete else 1
+
+
+def next_steps(out: str, report: Report) -> list[str]:
+    """Return what to do with a scene, in commands that a shell and Hydra take; or what to do first."""
+    if report.count("written") < FEW * len(report.files):
+        return [
+            "Most views are missing. Pictures must overlap by two thirds, from moving positions, and show texture; "
+            "--matching nearest or sequential tries fewer wrong pairs, --focal PX keeps a lens from running away."
+        ]
+    plain = re.fullmatch(r"[\w./-]+", out, re.ASCII)
+    root = out if plain else '"{}"'.format(out.replace('"', '\\"'))
+    return [
+        f"check: tdgbench data check {shlex.quote(out)}",
+        f"train: tdgbench method=3dgs dataset=folder {shlex.quote(f'data.root={root}')}",
+    ]
 
 
 def _options(arguments: argparse.Namespace) -> PrepareOptions:
@@ -59,8 +79,8 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
         raise SceneError("--degC-per-count is 0; it must be the °C of one count")
     if arguments.focal is not None and arguments.focal <= 0:
         raise SceneError("--focal must be positive: the focal length in px")
-    if arguments.sfm == "thermal" and (arguments.no_sfm or arguments.mapping or arguments.homography):
-        raise SceneError("--sfm thermal has no RGB images: --no-sfm, --mapping and --homography are about them")
+    if arguments.sfm == "thermal" and (arguments.mapping or arguments.homography):
+        raise SceneError("--sfm thermal has no RGB images: --mapping and --homography are about them")
     if arguments.poses is not None and arguments.no_sfm:
         raise SceneError("--poses and --no-sfm contradict each other; give one of them")
     if arguments.focal is not None and arguments.calibration is not None:
@@ -77,8 +97,9 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
         counts=CountScale(arguments.degC_per_count, arguments.degC_at_zero),
         mapping=None if arguments.mapping is None else PhotoMapping(*arguments.mapping),
         homography=arguments.homography,
-        sfm=None if arguments.no_sfm else sfm,
+        sfm=sfm,
         poses=arguments.poses,
+        extracts_only=arguments.no_sfm,
     )
 
 

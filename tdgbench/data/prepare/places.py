@@ -16,8 +16,10 @@ from tdgbench.scenes import SceneError
 from tdgbench.scenes.images import opened_image
 
 NEIGHBOURS = 10  # that each image is matched with
+DOWN = 0.9  # of the viewing direction: within 26° of the vertical
+MOST_OFF = 1.25  # times, of a drone's height above the points and that above where it took off
 GPS_ERROR = 5.0  # m, of a position that counts for the alignment: what receivers without corrections keep to
-DRONE = re.compile(rb'drone-dji:(GpsLat|GpsLon|Abs)\w*(?:="|>)\s*([-+.\d]+)')  # fields of DJI's XMP
+DRONE = re.compile(rb'drone-dji:(GpsLat|GpsLon|Abs|Rel)\w*(?:="|>)\s*([-+.\d]+)')  # fields of DJI's XMP
 
 
 GPS = tuple[float, float, float]  # latitude and longitude in degrees (WGS 84), altitude in m
@@ -32,9 +34,24 @@ def read_gps(path: Path) -> GPS | None:
         exif = image.getexif()
         xmp = dict(DRONE.findall(image.info.get("xmp", b"")))
         gps = _exif_gps(exif.get_ifd(ExifTags.IFD.GPSInfo))
-        if gps is None and len(xmp) == 3:
+        if gps is None and {b"GpsLat", b"GpsLon", b"Abs"} <= xmp.keys():
             gps = float(xmp[b"GpsLat"]), float(xmp[b"GpsLon"]), float(xmp[b"Abs"])
         return gps if gps is not None and any(gps[:2]) else None
+    return None
+
+
+def camera_name(path: Path) -> str:
+    """Return the model of the camera that a file's EXIF data name; empty if they name none."""
+    with suppress(SceneError), opened_image(path) as image:
+        return str(image.getexif().get(ExifTags.Base.Model, "")).strip("\0 ")
+    return ""
+
+
+def read_height(path: Path) -> float | None:
+    """Return how far above the place where it took off, in m, XMP of DJI says that a drone was; None of others."""
+    with suppress(SceneError), opened_image(path) as image:
+        xmp = dict(DRONE.findall(image.info.get("xmp", b"")))
+        return float(xmp[b"Rel"]) if b"Rel" in xmp else None
     return None
 
 
@@ -64,8 +81,8 @@ def nearest_pairs(names: list[str], positions: np.ndarray) -> list[tuple[str, st
     return [(names[i], names[j]) for i, j in sorted(found)]
 
 
-def to_metres(model: pycolmap.Reconstruction, positions: dict[str, np.ndarray], seed: int) -> str:
-    """Align a model with positions (3,) in m by image file, by a similarity, and say how well it fits.
+def to_metres(model: pycolmap.Reconstruction, positions: dict[str, np.ndarray], seed: int) -> tuple[str, bool]:
+    """Align a model with positions (3,) in m by image file, by a similarity; say how well it fits, and whether it does.
 
     The model stays as it is if the fit is worse than a quarter of the positions' spread across their main direction: on
     a line, or with errors of GPS as large as the flight, it would mean nothing.
@@ -75,14 +92,36 @@ def to_metres(model: pycolmap.Reconstruction, positions: dict[str, np.ndarray], 
     options = pycolmap.RANSACOptions(max_error=GPS_ERROR, random_seed=seed)
     similarity = pycolmap.align_reconstruction_to_locations(model, list(centres), metres, 3, options)
     if similarity is None:
-        return f"the model has no metric scale: it fits fewer than 3 GPS positions within {GPS_ERROR:g} m"
+        return f"the model has no metric scale: it fits fewer than 3 GPS positions within {GPS_ERROR:g} m", False
     error = np.linalg.norm(np.array([similarity * centre for centre in centres.values()]) - metres, axis=1)
     spread = np.linalg.svd(metres - metres.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(metres))
     fit = f"{np.median(error):.2f} m (median) from the GPS positions of {len(metres)} images"
     if np.median(error) > spread / 4:
-        return f"the model has no metric scale: at best, its cameras lie {fit}, which spread by {spread:.1f} m aside"
+        best = f"at best, its cameras lie {fit}, which spread by {spread:.1f} m aside"
+        return f"the model has no metric scale: {best}", False
     model.transform(similarity)
-    return f"the model is in metres by GPS, x east, y north, z up: its cameras lie {fit}, {error.max():.2f} m at most"
+    where = "x east, y north, z up: its cameras lie"
+    return f"the model is in metres by GPS, {where} {fit}, {error.max():.2f} m at most", True
+
+
+def doubted_by_height(poses: list[np.ndarray], points: np.ndarray, heights: list[float], focal: float) -> str | None:
+    """Return what is to be said of a focal length (px) that contradicts how high a drone flew; None if it does not.
+
+    Pictures straight down on flat ground do not settle it: all grows with it but what is seen. poses: world to camera
+    (4, 4), in m, z up, of cameras that state heights above where they took off, in m. points: (N, 3).
+    """
+    turns = np.array([pose[:3, :3] for pose in poses])
+    centres = np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
+    if not len(points) or np.median(-turns[:, 2, 2]) < DOWN:
+        return None
+    found, stated = np.median(centres[:, 2]) - np.median(points[:, 2]), float(np.median(heights))
+    if stated <= 0 or found <= 0 or 1 / MOST_OFF < stated / found < MOST_OFF:
+        return None
+    return (
+        f"the focal length is doubtful: the cameras lie {found:.0f} m above the points, by their files {stated:.0f} m "
+        f"above where they took off. If the ground is as high there, it is nearer to {focal * stated / found:.0f} px: "
+        "say it by --focal PX"
+    )
 
 
 def _exif_gps(tags: dict[int, Any]) -> GPS | None:

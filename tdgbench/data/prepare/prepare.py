@@ -17,7 +17,7 @@ from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare.calibration import checked_lenses, exif_focal
 from tdgbench.data.prepare.capture import JPEG, Capture, Kind, read_capture, too_few, write_pictures
 from tdgbench.data.prepare.known_poses import known_poses, structure_of
-from tdgbench.data.prepare.places import coordinates
+from tdgbench.data.prepare.places import coordinates, doubted_by_height
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Grid, Mapping, from_file, inside_photo, make_grid, no_distortion, same_view
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reconstruct
@@ -38,16 +38,17 @@ class PrepareOptions:
     """Options of a preparation.
 
     pairs: patterns of thermal and RGB files. counts: meaning of 16-bit counts. mapping: where the thermal image lies in
-    the RGB image, or homography: a file that says so; by default as the camera's files state, else the same view. sfm:
-    None stops after extraction. poses: a file or folder as of `read_reference`, of the images that `sfm` names.
+    the RGB image, or homography: a file that says so; by default as the camera's files state, else the same view.
+    poses: a file or folder as of `read_reference`, of the images that `sfm` names. extracts_only: stops before them.
     """
 
     pairs: tuple[str, str] | None = None
     counts: CountScale = field(default_factory=CountScale)
     mapping: PhotoMapping | None = None
     homography: Path | None = None
-    sfm: SfmOptions | None = field(default_factory=SfmOptions)
+    sfm: SfmOptions = field(default_factory=SfmOptions)
     poses: Path | None = None
+    extracts_only: bool = False
 
 
 def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
@@ -65,19 +66,22 @@ def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
 
 
 def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, report: Report) -> Report:
-    thermal_alone = options.sfm is not None and options.sfm.images == "thermal"
+    thermal_alone = options.sfm.images == "thermal"
     capture, report = _read(folder, stages, options, thermal_alone, report)
     mapping, own = _choose_mapping(capture, options)
-    structure = None if options.sfm is None else _structure(folder, capture, stages, options.sfm, options.poses, report)
+    structure = None
+    if not options.extracts_only:
+        structure = _structure(folder, capture, stages, options.sfm, options.poses, report)
     source: pycolmap.Camera = no_distortion(capture.kind.rgb) if structure is None else structure.camera
     grid = make_grid(source, mapping, capture.kind.thermal)
     report.assumptions += [] if thermal_alone else [mapping.assumption]
-    if thermal_alone and options.poses is None:
+    if thermal_alone and structure is not None and options.poses is None:
         report.assumptions.append("poses, points and lens distortion are found in the thermal images alone")
     elif structure is not None and not thermal_alone:
         report.assumptions.append("lens distortion is the RGB camera's, removed from both images alike")
     elif structure is None:
-        report.assumptions.append("images are not undistorted, without a model: run COLMAP on rgb/, into sparse/0")
+        where = "pictures of thermal/" if thermal_alone else "rgb/"
+        report.assumptions.append(f"images are not undistorted, without a model: run COLMAP on {where}, into sparse/0")
     report.size = grid.size
     _write_views(part, capture, grid, mapping, own, report)
     radiometry = None if capture.kind.is_celsius else read_radiometry(folder / FILE)
@@ -120,8 +124,7 @@ def _structure(
     if len(capture.names) < FEWEST_IMAGES:
         raise too_few(folder, len(capture.names), report)
     if poses is None:
-        sfm = _with_lens(sfm, report, capture.kind)
-        structure = reconstruct(capture.folder, list(capture.names.values()), stages, sfm, positions)
+        structure = _reconstruct(capture, stages, _with_lens(sfm, report, capture.kind), positions)
     else:
         reference = read_reference(poses)
         known = known_poses(poses, reference, capture, report)
@@ -132,6 +135,19 @@ def _structure(
             raise SceneError(f"{poses} states no lens: say it by --calibration FILE or --focal PX")
         structure = structure_of(known, capture.folder, capture.kind.rgb, stages, sfm)
     _note_structure(structure, capture, report)
+    return structure
+
+
+def _reconstruct(capture: Capture, stages: Stages, options: SfmOptions, positions: np.ndarray | None) -> Structure:
+    """Return what COLMAP finds; a focal length that contradicts the height of a drone is reported."""
+    structure = reconstruct(capture.folder, list(capture.names.values()), stages, options, positions)
+    heights = {capture.names[view]: height for view, height in capture.heights.items() if view in capture.names}
+    known = [name for name in structure.poses if name in heights]
+    if structure.is_in_metres and known:
+        poses, stated = [structure.poses[name] for name in known], [heights[name] for name in known]
+        focal = structure.camera.mean_focal_length()
+        doubt = doubted_by_height(poses, structure.points.points, stated, focal)
+        structure.notes.extend([] if doubt is None else [doubt])
     return structure
 
 
@@ -161,7 +177,7 @@ def _with_lens(options: SfmOptions, report: Report, kind: Kind) -> SfmOptions:
     if focal is None:
         return options
     report.assumptions.append(f"COLMAP begins with the focal length that the files' EXIF data state, {focal:.0f} px")
-    return replace(options, focal=focal, refine=True)
+    return replace(options, focal=focal, refine=True, is_of_exif=True)
 
 
 def _choose_mapping(capture: Capture, options: PrepareOptions) -> tuple[Mapping, dict[str, Mapping]]:

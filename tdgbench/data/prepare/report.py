@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Literal
+
+MOST_REASONS = 3  # that a message names
 
 Status = Literal["written", "not registered", "not read", "left out"]
 
@@ -45,6 +48,17 @@ class Report:
     def is_complete(self) -> bool:
         """True if every file became part of the scene."""
         return self.count("written") == len(self.files)
+
+    def reasons(self) -> str:
+        """Return in words why files are not in the scene, each reason once, with the first file and their number."""
+        files: dict[str, list[str]] = {}
+        for one in self.files:
+            if one.reason:
+                files.setdefault(one.reason.removeprefix(one.file).strip(), []).append(Path(one.file).name)
+        most = sorted(files.items(), key=lambda item: -len(item[1]))[:MOST_REASONS]
+        return "; ".join(
+            f"{names[0]} {f'and {len(names) - 1} others ' if names[1:] else ''}{reason}" for reason, names in most
+        )
 
     def json(self) -> str:
         return json.dumps({**asdict(self), "complete": self.is_complete}, indent=1, ensure_ascii=False) + "\n"

@@ -7,7 +7,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -29,6 +29,7 @@ Matching = Literal["exhaustive", "sequential", "nearest"]
 CAMERA_MODELS: tuple[str, ...] = get_args(CameraModel)
 LARGE = 10  # images of a model whose focal length must agree with others, as of COLMAP's smallest models
 MOST_APART = 2  # times, of these focal lengths
+MOST_OFF = 1.15  # times, of the focal length and that of EXIF data
 FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
 PAIRS_AT_A_TIME = 64  # between two steps of the progress
@@ -40,7 +41,8 @@ class SfmOptions:
     """Options of COLMAP. One camera is shared by all images.
 
     images: which ones COLMAP sees. focal: focal length in px; None: estimated. calibration: of the lens, or of
-    several. refine: COLMAP begins with these; else they are kept. threads: None for all processors.
+    several. refine: COLMAP begins with these; else they are kept. is_of_exif: the focal length is that of EXIF data.
+    threads: None for all processors.
     """
 
     images: Literal["rgb", "thermal"] = "rgb"
@@ -51,6 +53,7 @@ class SfmOptions:
     threads: Annotated[int, Field(ge=1)] | None = None
     calibration: tuple[CameraEntry, ...] = ()
     refine: bool = False
+    is_of_exif: bool = False
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,8 @@ class Structure:
     """The largest model, with those joined to it; or known poses. poses: world-to-camera (4, 4) by image file.
 
     error_px: mean reprojection error, None without matches. models: registered images of each model found. features,
-    matches: by image file, keypoints and verified matches with all other images. notes: for the report.
+    matches: by image file, keypoints and verified matches with all other images. notes: for the report. is_in_metres:
+    z is up then, too.
     """
 
     camera: pycolmap.Camera
@@ -69,6 +73,7 @@ class Structure:
     features: Counter[str]
     matches: Counter[str]
     notes: list[str] = field(default_factory=list)
+    is_in_metres: bool = False
 
 
 def reconstruct(
@@ -82,25 +87,45 @@ def reconstruct(
     with quiet():
         database = matched(images, names, stages, options, positions)
         mapped = stages.make("models", options.refine, lambda place: _map(database, images, place, len(names), options))
-        models = [pycolmap.Reconstruction(folder) for folder in listed(mapped)]
-        models.sort(key=lambda model: -model.num_reg_images())
+        models, lens_notes = _largest_first(mapped), list[str]()
+        if models and options.is_of_exif and options.focal is not None:
+            found = _focal(models[0])
+            if not 1 / MOST_OFF < found / options.focal < MOST_OFF:
+                kept = replace(options, refine=False)
+                mapped = stages.make("kept", None, lambda place: _map(database, images, place, len(names), kept))
+                models, options = _largest_first(mapped), kept
+                lens_notes.append(
+                    f"that is kept: from there, the images lead to {found:.0f} px, as on flat ground seen from above; "
+                    f"--focal {found:.0f} takes this instead"
+                )
         keypoints, matches = counts(database)
         sizes = [model.num_reg_images() for model in models]
         if not sizes or sizes[0] < FEWEST_IMAGES:
             raise SceneError(_no_model(names, keypoints, matches, sizes, options.images))
         _check_focal_lengths(models)
         pycolmap.set_random_seed(options.seed)
-        best, notes = models[0], add_models(*models)
+        best, notes = models[0], lens_notes + add_models(*models)
         if best.num_reg_images() > sizes[0]:
             refined = stages.make("joined", None, lambda place: _refine(best, database, images, place, options))
             best = pycolmap.Reconstruction(refined)
+    is_in_metres = False
     if positions is not None:
-        notes.append(to_metres(best, dict(zip(names, positions, strict=True)), options.seed))
+        note, is_in_metres = to_metres(best, dict(zip(names, positions, strict=True)), options.seed)
+        notes.append(note)
     posed = [image for image in best.images.values() if image.has_pose]
     poses = {image.name: np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]) for image in posed}
     (lens,) = {image.camera_id: best.cameras[image.camera_id] for image in best.images.values()}.values()
     error, sizes[0] = best.compute_mean_reprojection_error(), best.num_reg_images()
-    return Structure(lens, poses, cloud(best), error, sizes, keypoints, matches, notes)
+    return Structure(lens, poses, cloud(best), error, sizes, keypoints, matches, notes, is_in_metres)
+
+
+def _largest_first(folder: Path) -> list[pycolmap.Reconstruction]:
+    return sorted(map(pycolmap.Reconstruction, listed(folder)), key=lambda model: -model.num_reg_images())
+
+
+def _focal(model: pycolmap.Reconstruction) -> float:
+    """Return the focal length of a model, in px."""
+    return float(next(iter(model.cameras.values())).mean_focal_length())
 
 
 def matched(
@@ -256,9 +281,10 @@ def counts(database: Path) -> tuple[Counter[str], Counter[str]]:
 def _no_model(names: list[str], features: Counter[str], matches: Counter[str], sizes: list[int], images: str) -> str:
     counts, verified = [features[name] for name in names], [matches[name] for name in names]
     found = f"models of {', '.join(map(str, sizes))} images" if sizes else "no model"
+    matched = f"{min(verified)} to {max(verified)}" if max(verified) else "no"
     return (
         f"COLMAP finds {found} in {len(names)} {LABELS[images]} images, and a scene needs one of {FEWEST_IMAGES}: the "
-        f"images have {min(counts)} to {max(counts)} features and {min(verified)} to {max(verified)} verified matches "
+        f"images have {min(counts)} to {max(counts)} features and {matched} verified matches "
         "each. Take more pictures that overlap by two thirds, from moving positions, of something with texture"
     )
 
@@ -271,9 +297,9 @@ def cloud(model: pycolmap.Reconstruction) -> PointCloud:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Silence COLMAP's log, except for errors."""
+    """Silence COLMAP's log; errors are exceptions, or said in words of this program."""
     before = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
     try:
         yield
     finally:

@@ -79,6 +79,8 @@ def _matching(folder: Path, pattern: str) -> dict[str, Path]:
     views = {}
     for path in sorted(folder.glob(f"{glob.escape(before)}*{glob.escape(after)}")):
         name = path.relative_to(folder).as_posix()
+        if path.name.startswith("."):
+            continue  # macOS writes ._NAME beside a file
         view = check_view_name(name[len(before) : len(name) - len(after)], f"{folder}: the file {name!r}")
         views[view] = path
     return views

@@ -1,10 +1,13 @@
 import argparse
 import os
+import shlex
 from pathlib import Path
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from tdgbench.data.prepare.command import add_arguments
+from tdgbench.data.prepare.command import add_arguments, next_steps
+from tdgbench.data.prepare.report import FileReport, Report
 from tests.helpers.command import tdgbench_here
 from tests.helpers.flir import FlirCamera, write_flir
 from tests.helpers.layouts import celsius
@@ -30,6 +33,17 @@ def test_help_fits_on_a_screen(monkeypatch):
     add_arguments(parser)
     lines = parser.format_help().splitlines()
     assert len(lines) <= 24 and max(map(len, lines)) < 80 and "--poses FILE" in parser.format_help()
+
+
+@pytest.mark.parametrize("out", ["data/attic", "data/uni é 测试", "a:b'c\"d", "back\\slash"])
+def test_next_steps_can_be_pasted(out):
+    files = [FileReport("a.jpg", "", "a", "written"), FileReport("b.jpg", "", "b", "not registered", "no pose")]
+    check, train = next_steps(out, Report("camera", out, files))
+    assert shlex.split(check)[-1] == out
+    overrides = OverridesParser.create().parse_overrides(shlex.split(train)[2:])
+    assert overrides[-1].key_or_group == "data.root" and overrides[-1].value() == out
+    (advice,) = next_steps(out, Report("camera", out, [*files, files[1]]))
+    assert advice.startswith("Most views are missing")
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,15 @@ import numpy as np
 import pycolmap
 import pytest
 
-from tdgbench.data.prepare.places import coordinates, nearest_pairs, read_gps, to_metres
+from tdgbench.data.prepare.places import (
+    camera_name,
+    coordinates,
+    doubted_by_height,
+    nearest_pairs,
+    read_gps,
+    read_height,
+    to_metres,
+)
 from tdgbench.scenes import SceneError
 from tests.helpers.exif import degrees, exif_gps, write_placed
 
@@ -20,8 +28,23 @@ def test_places_in_files(tmp_path):
     assert read_gps(write_placed(path, exif_gps(GPSAltitude=None))) is None
     nowhere = exif_gps(GPSLatitude=degrees(0, 0, 0), GPSLongitude=degrees(0, 0, 0))
     assert read_gps(write_placed(path, nowhere)) is None
+    risen = XMP.replace(b"/>", b' drone-dji:RelativeAltitude="+30.00"/>')
+    assert read_height(write_placed(path, xmp=risen)) == 30 and read_gps(path) == (-23.5, 113.25, 133.23)
+    assert read_height(write_placed(path, xmp=XMP)) is None and camera_name(path) == ""
     path.write_bytes(b"no image")
-    assert read_gps(path) is None
+    assert read_gps(path) is read_height(path) is None and camera_name(path) == ""
+
+
+def test_a_focal_length_that_contradicts_the_height_is_doubted():
+    """Pictures from 15 m above the points that were taken from 30 m: the focal length is half of the true one."""
+    down, level = np.diag([1.0, -1.0, -1.0, 1.0]), np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    down[2, 3] = 15
+    points = np.random.default_rng(0).normal(0, 1, (50, 3)) * [10, 10, 0.5]
+    doubt = doubted_by_height([down] * 3, points, [30.0, 29.0, 31.0], 380.0)
+    assert doubt is not None and "15 m above the points, by their files 30 m" in doubt and "nearer to 7" in doubt
+    assert doubted_by_height([down] * 3, points, [14.0, 15.0, 17.0], 380.0) is None
+    assert doubted_by_height([level] * 3, points - np.array([0, 0, 15]), [30.0] * 3, 380.0) is None
+    assert doubted_by_height([down] * 3, points[:0], [30.0] * 3, 380.0) is None
 
 
 def test_coordinates_are_metres():
@@ -62,7 +85,8 @@ def test_a_model_is_put_in_metres():
     model, positions = synthetic(rng.uniform(0, 100, (8, 3)))
     measured = {name: place + rng.normal(0, 0.3, 3) for name, place in positions.items()}
     measured[next(iter(measured))] += 400  # an outlier
-    assert to_metres(model, measured, 0).startswith("the model is in metres by GPS")
+    note, is_in_metres = to_metres(model, measured, 0)
+    assert is_in_metres and note.startswith("the model is in metres by GPS")
     centres = {image.name: image.projection_center() for image in model.images.values()}
     assert max(np.linalg.norm(centres[name] - place) for name, place in positions.items()) < 2
 
@@ -76,6 +100,7 @@ def test_positions_that_say_nothing_change_nothing(centres, what):
     model, positions = synthetic(centres)
     before = {image.name: image.projection_center() for image in model.images.values()}
     noise = np.random.default_rng(1)
-    note = to_metres(model, {name: place + noise.normal(0, 0.3, 3) for name, place in positions.items()}, 0)
-    assert note.startswith("the model has no metric scale") and what in note
+    measured = {name: place + noise.normal(0, 0.3, 3) for name, place in positions.items()}
+    note, is_in_metres = to_metres(model, measured, 0)
+    assert note.startswith("the model has no metric scale") and what in note and not is_in_metres
     assert all(np.array_equal(image.projection_center(), before[image.name]) for image in model.images.values())

@@ -22,7 +22,7 @@ from tests.helpers.flir import FlirCamera, with_segments, write_flir
 from tests.helpers.layouts import celsius
 from tests.helpers.paths import SHARED
 
-EXTRACT = PrepareOptions(sfm=None)
+EXTRACT = PrepareOptions(extracts_only=True)
 
 
 def capture(scene, folder, views=6):
@@ -168,6 +168,10 @@ def test_errors_leave_nothing(tmp_path, small_gray_scene):
         SceneError, match=r"different cameras.*2 with RGB 96×72 and thermal 48×36.*1 with RGB 96×72 and"
     ):
         prepare_scene(source, out, EXTRACT)
+    for index in range(7):
+        shutil.copy(source / f"{view.name}.jpg", source / f"copy{index}.jpg")
+    (left_out,) = [one for one in prepare_scene(source, tmp_path / "most", EXTRACT).files if one.status != "written"]
+    assert left_out.view == "other" and "is RGB 96×72 and thermal 48×20 in one file, and the others" in left_out.reason
     (source / "other.jpg").unlink()
     with pytest.raises(SceneError, match="outside of the RGB image"):
         prepare_scene(source, out, replace(EXTRACT, mapping=PhotoMapping(5.0, 96, 0)))
@@ -283,6 +287,9 @@ def test_thermal_images_alone(tmp_path, small_gray_scene, monkeypatch):
     assert not (tmp_path / "scene" / "rgb").exists() and scene.channels == 1
     stored = np.asarray(Image.open(tmp_path / "scene" / "thermal" / f"{scene.views[0].name}.png"))
     assert 4990 < stored.min() < stored.max() < 5310
+    alone = prepare_scene(tmp_path / "camera", tmp_path / "alone", replace(THERMAL_ALONE, extracts_only=True))
+    assert alone.is_complete and not (tmp_path / "alone" / "sparse").exists()
+    assert len([*(tmp_path / "alone" / "thermal").iterdir()]) == 6
 
 
 def test_nearest_matching_leaves_out_files_without_a_place(tmp_path, small_gray_scene, monkeypatch):
@@ -320,13 +327,14 @@ def test_flir_tiff_states_its_temperatures(tmp_path, small_gray_scene, monkeypat
     assert 18.8 < temperature.min < temperature.max < 22.9 if is_celsius else temperature is None
 
 
-def write_dji(path, counts, height=None):
-    """Write a JPEG with DJI's maker name and raw counts, in several segments."""
+def write_dji(path, counts, height=None, segment=b"\xe3"):
+    """Write a JPEG with DJI's maker name and raw counts, in several segments; those of APP3 or another."""
     Image.fromarray(np.zeros((height or len(counts), counts.shape[1]), np.uint8)).save(path, "JPEG")
     raw = counts.tobytes()
     pieces = [raw[first : first + 1000] for first in range(0, len(raw), 1000)]
     segments = [b"\xff\xe1" + (40).to_bytes(2, "big") + b"Exif\0\0MM DJI".ljust(38, b"\0")]
-    segments += [b"\xff\xe3" + (len(piece) + 2).to_bytes(2, "big") + piece for piece in pieces]
+    segments += [b"\xff\xe3" + (42).to_bytes(2, "big") + bytes(40)] * (segment != b"\xe3")  # as Zenmuse XT S has
+    segments += [b"\xff" + segment + (len(piece) + 2).to_bytes(2, "big") + piece for piece in pieces]
     path.write_bytes(with_segments(path.read_bytes(), segments))
 
 
@@ -335,8 +343,10 @@ def test_raw_counts_of_dji(tmp_path):
     counts = rng.integers(5000, 5400, (36, 48)).astype("<u2")
     write_dji(tmp_path / "a.jpg", counts)
     assert np.array_equal(dji_counts(tmp_path / "a.jpg"), counts)
+    write_dji(tmp_path / "s.jpg", counts, segment=b"\xe4")
+    assert np.array_equal(dji_counts(tmp_path / "s.jpg"), counts)
     write_dji(tmp_path / "b.jpg", counts[:-1], height=36)
-    with pytest.raises(SceneError, match=r"b\.jpg has 1680 raw counts for 48×36 pixels"):
+    with pytest.raises(SceneError, match=r"b\.jpg has 3360 bytes of raw data for 48×36 pixels"):
         dji_counts(tmp_path / "b.jpg")
     Image.fromarray(np.zeros((36, 48), np.uint8)).save(tmp_path / "c.jpg")
     assert dji_counts(tmp_path / "c.jpg") is None

@@ -1,4 +1,5 @@
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pycolmap
@@ -28,7 +29,10 @@ def test_no_model_is_one_error(tmp_path):
     names = [f"{i}.png" for i in range(3)]
     for name in names:
         Image.fromarray(np.full((48, 64, 3), 128, np.uint8)).save(tmp_path / name)
-    with pytest.raises(SceneError, match=r"COLMAP finds no model in 3 RGB images.*0 to 0 features.*Take more pictures"):
+    with pytest.raises(
+        SceneError,
+        match=r"COLMAP finds no model in 3 RGB images.*0 to 0 features and no verified.*Take more",
+    ):
         reconstruct(tmp_path, names, Stages(tmp_path / "work"), SfmOptions(threads=1))
 
 
@@ -92,3 +96,26 @@ def test_a_calibration_is_kept_or_refined(tmp_path, refine):
     assert len(found.poses) >= 3 and found.camera.model_name == "OPENCV"
     assert (tuple(found.camera.params) == lens.params) != refine
     assert found.camera.params[:2] == pytest.approx((840, 841), rel=0.1)
+
+
+def test_a_focal_length_that_runs_away_from_that_of_the_files_is_not_taken(tmp_path, monkeypatch):
+    """As on flat ground seen from above: COLMAP refines the 1500 px that EXIF data state to 700 px."""
+    names = [f"{i}.png" for i in range(3)]
+    for name in names:
+        Image.fromarray(np.full((48, 64, 3), 128, np.uint8)).save(tmp_path / name)
+    refined = []
+
+    def write_model(database, images, folder, total, options):
+        refined.append(options.refine)
+        (folder / "0").mkdir()
+        model_of(3, 700 if options.refine else options.focal).write(folder / "0")
+
+    monkeypatch.setattr(sfm, "_map", write_model)
+    exif = SfmOptions("thermal", 1500, threads=1, refine=True, is_of_exif=True)
+    found = reconstruct(tmp_path, names, Stages(tmp_path / "work"), exif)
+    assert refined == [True, False] and found.camera.mean_focal_length() == 1500
+    assert found.notes[0].startswith("that is kept: from there, the images lead to 700 px")
+    again = reconstruct(tmp_path, names, Stages(tmp_path / "work"), exif)
+    assert again.notes == found.notes and len(refined) == 2
+    asked = reconstruct(tmp_path, names, Stages(tmp_path / "asked"), replace(exif, is_of_exif=False))
+    assert asked.camera.mean_focal_length() == 700 and asked.notes == []
