@@ -57,7 +57,7 @@ class Report:
                 files.setdefault(one.reason.removeprefix(one.file).strip(), []).append(Path(one.file).name)
         most = sorted(files.items(), key=lambda item: -len(item[1]))[:MOST_REASONS]
         return "; ".join(
-            f"{names[0]} {f'and {len(names) - 1} others ' if names[1:] else ''}{reason}" for reason, names in most
+            f"{names[0]}{f' and {len(names) - 1} others' if names[1:] else ''}: {reason}" for reason, names in most
         )
 
     def json(self) -> str:
