@@ -72,11 +72,12 @@ class Settling(Stopping):
         self.parts, self.errors = parts, errors
         self._scale = curriculum.scale
         self._psnrs: list[list[float]] = []  # of the checks at this resolution, by view
+        self._stalls = 0  # of the last checks, in a row
         self._best_scale, self._best_psnrs = 0, list[float]()  # of the resolutions before, at its end; 0: none
         self._no_better = 0  # resolutions in a row since then
 
     def state_dict(self) -> State:
-        names = ("_scale", "_psnrs", "_best_scale", "_best_psnrs", "_no_better")
+        names = ("_scale", "_psnrs", "_stalls", "_best_scale", "_best_psnrs", "_no_better")
         return {name.strip("_"): getattr(self, name) for name in names}
 
     def load_state_dict(self, saved: State) -> None:
@@ -118,7 +119,10 @@ class Settling(Stopping):
             return None
         self._psnrs.append(self._held_out_psnrs())
         last = last_window(rule, self._psnrs, rule.last_checks if is_full else rule.checks)
-        if last is None or last.gain + is_full * last.standard_error >= rule.gain:
+        if last is None:
+            return None
+        self._stalls = 0 if last.gain + is_full * last.standard_error >= rule.gain else self._stalls + 1
+        if self._stalls < (rule.stalls if is_full else 1):
             return None
         is_last = is_full or self._no_better >= IN_A_ROW - 1
         if is_last and not self._is_best(last.psnrs):
@@ -141,7 +145,7 @@ class Settling(Stopping):
                 self._best_scale, self._best_psnrs, self._no_better = self._scale, reached.tolist(), 0
             else:
                 self._no_better += 1
-        self._scale, self._psnrs = self.curriculum.scale, []
+        self._scale, self._psnrs, self._stalls = self.curriculum.scale, [], 0
 
     @torch.no_grad()
     def _held_out_psnrs(self) -> list[float]:
