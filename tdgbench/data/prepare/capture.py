@@ -6,7 +6,7 @@ import shutil
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image
@@ -91,6 +91,12 @@ class Capture:
         """Return the RGB image (h, w, 3), float32 in [0, 1], if there is one."""
         return None if self.kind.is_thermal_alone else with_channels(read_image(self.folder / self.names[view]), 3)
 
+    def leave_out(self, view: str) -> None:
+        """Forget a view, whose files stay in the folder."""
+        facts: tuple[dict[str, Any], ...] = (self.names, self.places, self.heights, self.mappings)
+        for by_view in facts:
+            by_view.pop(view, None)
+
     def thermal(self, view: str) -> np.ndarray:
         """Return the thermal image, (H, W) in °C or (H, W, C) in [0, 1]."""
         return np.load(self.folder / f"{self.names[view]}.npy", allow_pickle=False)
@@ -110,8 +116,8 @@ def read_capture(
     if not scale.is_known and radiometry is not None:
         scale = radiometry.scale
     capture = Capture(work, Kind((0, 0), (0, 0), False, False))
-    kinds: dict[Kind, list[str]] = {}
-    settings = Counter[str]()
+    kinds: dict[Kind, list[FileReport]] = {}
+    stated: dict[str, str] = {}  # settings of the camera, by view
     with step("files to read", len(sources.views)) as count:
         for index, files in enumerate(sources.views):
             rgb = "" if thermal_alone else "inside" if files.rgb is None else str(files.rgb)
@@ -128,19 +134,16 @@ def read_capture(
                 is_one_file = files.rgb is None and not thermal_alone
                 camera = camera_name(files.thermal)
                 kind = Kind(rgb_size, thermal, content.thermal.ndim == 2, is_one_file, thermal_alone, camera)
-                kinds.setdefault(kind, []).append(files.view)
-                settings[content.settings] += 1
+                kinds.setdefault(kind, []).append(entry)
+                stated[files.view] = content.settings
             count(index + 1)
     if not kinds:
         raise too_few(folder, 0, report)
     capture.kind = _main_kind(folder, kinds)
-    for kind, views in kinds.items():
-        if kind != capture.kind:
-            for entry in report.files:
-                if entry.view in views:
-                    entry.status, entry.reason = "left out", f"is {kind}, and the others are {capture.kind}"
-                    for facts in (capture.names, capture.places, capture.heights, capture.mappings):
-                        facts.pop(entry.view, None)  # type: ignore[attr-defined]
+    for kind in kinds.keys() - {capture.kind}:
+        for entry in kinds[kind]:
+            entry.status, entry.reason = "left out", f"is {kind}, and the others are {capture.kind}"
+            capture.leave_out(entry.view)
     report.rgb_size = None if thermal_alone else capture.kind.rgb
     report.thermal_size = capture.kind.thermal
     if not capture.kind.is_celsius:
@@ -148,18 +151,19 @@ def read_capture(
         if not is_there(folder / FILE):
             known = "without °C: errors need a range, by --degC-per-count, temperature.json or DJI's SDK (docs/data.md)"
         report.assumptions.append(f"thermal images show values {known}")
-    for stated, number in settings.most_common(1):
+    settings = Counter(stated[view] for view in capture.names)
+    for words, number in settings.most_common(1):
         others = f" in {number} files; {len(settings) - 1} other settings" if len(settings) > 1 else ""
-        if stated:
-            report.assumptions.append(f"temperatures are the object's, as set in the camera: {stated}{others}")
+        if words:
+            report.assumptions.append(f"temperatures are the object's, as set in the camera: {words}{others}")
     return capture
 
 
-def _main_kind(folder: Path, kinds: dict[Kind, list[str]]) -> Kind:
+def _main_kind(folder: Path, kinds: dict[Kind, list[FileReport]]) -> Kind:
     """Return the kind of all views, or of nearly all of them. Raises SceneError if there is none."""
     ranked = sorted(kinds.items(), key=lambda item: -len(item[1]))
     if len(ranked[0][1]) < NEARLY_ALL * sum(map(len, kinds.values())):
-        described = [f"{len(views)} with {kind} ({views[0]} …)" for kind, views in ranked]
+        described = [f"{len(views)} with {kind} ({views[0].view} …)" for kind, views in ranked]
         raise SceneError(
             f"{folder} holds views of different cameras or settings: {'; '.join(described[:4])}. One scene is of one "
             "camera, or pair of them, in one orientation: prepare each kind from a folder of its own, or name its "

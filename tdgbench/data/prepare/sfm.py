@@ -86,25 +86,15 @@ def reconstruct(
     """
     with quiet():
         database = matched(images, names, stages, options, positions)
-        mapped = stages.make("models", options.refine, lambda place: _map(database, images, place, len(names), options))
-        models, lens_notes = _largest_first(mapped), list[str]()
-        if models and options.is_of_exif and options.focal is not None:
-            found = _focal(models[0])
-            if not 1 / MOST_OFF < found / options.focal < MOST_OFF:
-                kept = replace(options, refine=False)
-                mapped = stages.make("kept", None, lambda place: _map(database, images, place, len(names), kept))
-                models, options = _largest_first(mapped), kept
-                lens_notes.append(
-                    f"that is kept: from there, the images lead to {found:.0f} px, as on flat ground seen from above; "
-                    f"--focal {found:.0f} takes this instead"
-                )
+        models, notes = _mapped(database, images, names, stages, options)
         keypoints, matches = counts(database)
         sizes = [model.num_reg_images() for model in models]
         if not sizes or sizes[0] < FEWEST_IMAGES:
             raise SceneError(_no_model(names, keypoints, matches, sizes, options.images))
         _check_focal_lengths(models)
         pycolmap.set_random_seed(options.seed)
-        best, notes = models[0], lens_notes + add_models(*models)
+        best = models[0]
+        notes += add_models(*models)
         if best.num_reg_images() > sizes[0]:
             refined = stages.make("joined", None, lambda place: _refine(best, database, images, place, options))
             best = pycolmap.Reconstruction(refined)
@@ -119,13 +109,29 @@ def reconstruct(
     return Structure(lens, poses, cloud(best), error, sizes, keypoints, matches, notes, is_in_metres)
 
 
-def _largest_first(folder: Path) -> list[pycolmap.Reconstruction]:
-    return sorted(map(pycolmap.Reconstruction, listed(folder)), key=lambda model: -model.num_reg_images())
+def _mapped(
+    database: Path, images: Path, names: list[str], stages: Stages, options: SfmOptions
+) -> tuple[list[pycolmap.Reconstruction], list[str]]:
+    """Return the models of a database, largest first, and notes for the report.
 
+    Flat ground seen from above does not settle the focal length, which then runs away: that of EXIF data is kept.
+    """
 
-def _focal(model: pycolmap.Reconstruction) -> float:
-    """Return the focal length of a model, in px."""
-    return float(next(iter(model.cameras.values())).mean_focal_length())
+    def models(stage: str, options: SfmOptions) -> list[pycolmap.Reconstruction]:
+        place = stages.make(stage, options.refine, lambda part: _map(database, images, part, len(names), options))
+        return sorted(map(pycolmap.Reconstruction, listed(place)), key=lambda model: -model.num_reg_images())
+
+    found = models("models", options)
+    if not found or not options.is_of_exif or options.focal is None:
+        return found, []
+    focal = next(iter(found[0].cameras.values())).mean_focal_length()
+    if 1 / MOST_OFF < focal / options.focal < MOST_OFF:
+        return found, []
+    note = (
+        f"that is kept: from there, the images lead to {focal:.0f} px, as on flat ground seen from above; "
+        f"--focal {focal:.0f} takes this instead"
+    )
+    return models("kept", replace(options, refine=False)), [note]
 
 
 def matched(
