@@ -43,9 +43,10 @@ class SettlingRule:
     Every `every` iterations the held-out views are rendered: a check. The training stalls once a window of checks, a
     share of those at the current resolution, gains less than `gain` on the window before; at the full resolution, less
     by the gain's standard error, so that noise hides no gain, and no check counts before anything has grown
-    (`last_after`). Below the full resolution it then goes on to the next one. At the full resolution, where it stalls
-    at `stalls` checks in a row, or after two resolutions in a row without a new best, it settles at the best: the
-    held-out views are trained on as well, no Gaussians are added, and all learning rates fall log-linearly for `tail`.
+    (`last_after`). Below the full resolution it then goes on to the next one. At the full resolution, where the windows
+    of stalls in a row cover `stalled_checks`, or after two resolutions in a row without a new best, it settles at the
+    best: the held-out views are trained on as well, no Gaussians are added, and all learning rates fall log-linearly
+    for `tail`.
     A training that never stalls settles that long before its last iteration.
     """
 
@@ -55,7 +56,7 @@ class SettlingRule:
     every: PositiveInt  # iterations between checks
     checks: PositiveInt  # in a window below the full resolution, at least
     last_checks: PositiveInt  # in a window at the full resolution, at least
-    stalls: PositiveInt  # checks in a row at the full resolution
+    stalled_checks: PositiveInt  # at the full resolution, covered by the windows of stalls in a row
     last_after: NonNegativeInt  # iterations before the first check at the full resolution
     window: Annotated[float, Field(gt=0, le=0.5)]  # share of the checks at a resolution that is in a window
     gain: PositiveFloat  # dB, the mean over held-out views

@@ -33,6 +33,7 @@ def spread(views: list[View], count: int) -> list[View]:
 class LastWindow(NamedTuple):
     """The last window of checks, compared with the one before it."""
 
+    checks: int
     psnrs: np.ndarray  # (V,) of its views, dB
     gain: float  # on the window before, mean over views, dB
     standard_error: float  # of the gain, from the spread of the checks in both windows, dB
@@ -46,7 +47,7 @@ def last_window(rule: SettlingRule, psnrs: list[list[float]], fewest: int) -> La
     last, before = np.array(psnrs[-size:]), np.array(psnrs[-2 * size : -size])
     gain = float(last.mean() - before.mean())
     spread_of = [float(np.var(window.mean(axis=1), ddof=1)) if size > 1 else 0.0 for window in (last, before)]
-    return LastWindow(last.mean(axis=0), gain, math.sqrt(sum(spread_of) / size))
+    return LastWindow(size, last.mean(axis=0), gain, math.sqrt(sum(spread_of) / size))
 
 
 def psnr_of_error(error: np.ndarray) -> float:
@@ -122,7 +123,7 @@ class Settling(Stopping):
         if last is None:
             return None
         self._stalls = 0 if last.gain + is_full * last.standard_error >= rule.gain else self._stalls + 1
-        if self._stalls < (rule.stalls if is_full else 1):
+        if not self._stalls or (is_full and last.checks + self._stalls - 1 < rule.stalled_checks):
             return None
         is_last = is_full or self._no_better >= IN_A_ROW - 1
         if is_last and not self._is_best(last.psnrs):

@@ -13,7 +13,7 @@ LEAN = (
     "budget=lean", "budget.iterations=60", "budget.density.start=5", "budget.density.every=5", "budget.density.stop=20",
     "budget.density.grad_threshold=1e-6", "budget.pixels.smallest_side=8", "budget.settling.every=10",
     "budget.settling.checks=1", "budget.settling.last_checks=1", "budget.settling.last_after=0",
-    "budget.settling.stalls=1", "budget.settling.gain=50",
+    "budget.settling.stalled_checks=1", "budget.settling.gain=50",
     "budget.settling.fewest=1",
 )  # fmt: skip
 

@@ -14,12 +14,12 @@ from tests.helpers.masks import masked_scene
 from tests.helpers.training import digest, digest_of_all, ready_to_train, train_killed
 
 RULE = SettlingRule(
-    share=0.1, fewest=1, most=8, every=10, checks=2, last_checks=2, stalls=1, last_after=0, window=0.2, gain=0.1,
+    share=0.1, fewest=1, most=8, every=10, checks=2, last_checks=2, stalled_checks=1, last_after=0, window=0.2, gain=0.1,
     tail=0.5, slowdown=0.1,
 )  # fmt: skip
 CONF = (
     "+budget.settling={_target_:tdgbench.training.budget.SettlingRule,share:0.1,fewest:1,most:2,every:5,checks:1,"
-    "last_checks:1,stalls:1,last_after:0,window:0.2,gain:50,tail:0.5,slowdown:0.1}"
+    "last_checks:1,stalled_checks:1,last_after:0,window:0.2,gain:50,tail:0.5,slowdown:0.1}"
 )
 
 
@@ -116,9 +116,9 @@ def test_no_check_counts_at_the_full_resolution_before_anything_has_grown():
     assert end_of(Scripted(lambda i, scale: 10.0 / scale, steps=[(400, 2)], rule=rule)) == 130 + 65  # 1/2 until 40
 
 
-def test_a_training_settles_after_several_stalls_in_a_row():
+def test_one_stall_of_a_short_window_ends_no_training():
     """A dip of the held-out views, as where a Gaussian comes before one of them, ends no training that goes on."""
-    rule = replace(RULE, stalls=3)
+    rule = replace(RULE, stalled_checks=4)  # three stalls of two checks each
 
     def dips(i, scale):
         return i / 10 - 30 * (60 < i <= 80)
@@ -126,6 +126,7 @@ def test_a_training_settles_after_several_stalls_in_a_row():
     assert end_of(Scripted(dips, iterations=300)) < 300
     assert end_of(Scripted(dips, iterations=300, rule=rule)) == 300
     assert end_of(Scripted(lambda i, scale: 10.0, rule=rule)) == 60 + 30
+    assert end_of(Scripted(lambda i, scale: 10.0, rule=replace(rule, last_checks=4))) == 80 + 40
     stalls = Scripted(lambda i, scale: 10.0 / scale, steps=[(400, 2)], rule=rule)
     assert end_of(stalls) == 100 + 50 and stalls.curriculum.iterations == {2: 40, 1: 60 + 50}
 
