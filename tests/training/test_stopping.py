@@ -14,8 +14,8 @@ from tests.helpers.masks import masked_scene
 from tests.helpers.training import digest, digest_of_all, ready_to_train, train_killed
 
 RULE = SettlingRule(
-    share=0.1, fewest=1, most=8, every=10, checks=2, last_checks=2, stalled_checks=1, last_after=0, window=0.2, gain=0.1,
-    tail=0.5, slowdown=0.1,
+    share=0.1, fewest=1, most=8, every=10, checks=2, last_checks=2, stalled_checks=1, last_after=0, window=0.2,
+    gain=0.1, tail=0.5, slowdown=0.1,
 )  # fmt: skip
 CONF = (
     "+budget.settling={_target_:tdgbench.training.budget.SettlingRule,share:0.1,fewest:1,most:2,every:5,checks:1,"
