@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
+from collections.abc import Container
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -91,11 +92,12 @@ class Capture:
         """Return the RGB image (h, w, 3), float32 in [0, 1], if there is one."""
         return None if self.kind.is_thermal_alone else with_channels(read_image(self.folder / self.names[view]), 3)
 
-    def leave_out(self, view: str) -> None:
-        """Forget a view, whose files stay in the folder."""
+    def keep(self, views: Container[str]) -> None:
+        """Forget all other views, whose files stay in the folder."""
         facts: tuple[dict[str, Any], ...] = (self.names, self.places, self.heights, self.mappings)
         for by_view in facts:
-            by_view.pop(view, None)
+            for view in [view for view in by_view if view not in views]:
+                del by_view[view]
 
     def thermal(self, view: str) -> np.ndarray:
         """Return the thermal image, (H, W) in °C or (H, W, C) in [0, 1]."""
@@ -140,10 +142,10 @@ def read_capture(
     if not kinds:
         raise too_few(folder, 0, report)
     capture.kind = _main_kind(folder, kinds)
+    capture.keep({entry.view for entry in kinds[capture.kind]})
     for kind in kinds.keys() - {capture.kind}:
         for entry in kinds[kind]:
             entry.status, entry.reason = "left out", f"is {kind}, and the others are {capture.kind}"
-            capture.leave_out(entry.view)
     report.rgb_size = None if thermal_alone else capture.kind.rgb
     report.thermal_size = capture.kind.thermal
     if not capture.kind.is_celsius:

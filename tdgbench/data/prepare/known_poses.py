@@ -13,6 +13,7 @@ import pycolmap
 from tdgbench.data.poses.references import Reference
 from tdgbench.data.prepare.calibration import start_camera
 from tdgbench.data.prepare.capture import Capture
+from tdgbench.data.prepare.places import centres_of
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Size
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, cloud, counts, matched, pipeline, quiet
@@ -33,7 +34,7 @@ class KnownPoses(NamedTuple):
     @property
     def centres(self) -> np.ndarray:
         """Positions of the cameras (N, 3)."""
-        return np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in self.poses.values()])
+        return centres_of(self.poses.values())
 
 
 def known_poses(path: Path, reference: Reference, capture: Capture, report: Report) -> KnownPoses:
@@ -55,7 +56,7 @@ def known_poses(path: Path, reference: Reference, capture: Capture, report: Repo
             f"{path} has poses of {len(found)} of {len(capture.names)} images ({names} … against {views} …); "
             f"{FEWEST_IMAGES} are needed. Rename the images as there, without folders and extensions"
         )
-    capture.names = {view: name for view, name in capture.names.items() if view in found}
+    capture.keep(found)
     poses = {name: reference.poses[found[view]] for view, name in capture.names.items()}
     report.assumptions.append(f"poses are those of {path}, in its world")
     if len(found) < len(reference.poses):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,11 @@ def coordinates(places: dict[str, GPS]) -> dict[str, np.ndarray]:
     return dict(zip(places, metres, strict=True))
 
 
+def centres_of(poses: Iterable[np.ndarray]) -> np.ndarray:
+    """Return the positions (N, 3) of cameras with poses (4, 4), world to camera."""
+    return np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
+
+
 def nearest_pairs(names: list[str], positions: np.ndarray) -> list[tuple[str, str]]:
     """Return pairs of images to match: each with its nearest ones, and with the next by name.
 
@@ -110,11 +116,9 @@ def doubted_by_height(poses: list[np.ndarray], points: np.ndarray, heights: list
     Pictures straight down on flat ground do not settle it: all grows with it but what is seen. poses: world to camera
     (4, 4), in m, z up, of cameras that state heights above where they took off, in m. points: (N, 3).
     """
-    turns = np.array([pose[:3, :3] for pose in poses])
-    centres = np.array([-pose[:3, :3].T @ pose[:3, 3] for pose in poses])
-    if not len(points) or np.median(-turns[:, 2, 2]) < DOWN:
+    if not len(points) or np.median([-pose[2, 2] for pose in poses]) < DOWN:
         return None
-    found, stated = np.median(centres[:, 2]) - np.median(points[:, 2]), float(np.median(heights))
+    found, stated = np.median(centres_of(poses)[:, 2]) - np.median(points[:, 2]), float(np.median(heights))
     if stated <= 0 or found <= 0 or 1 / MOST_OFF < stated / found < MOST_OFF:
         return None
     return (

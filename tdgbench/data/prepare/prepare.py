@@ -141,7 +141,7 @@ def _structure(
 def _reconstruct(capture: Capture, stages: Stages, options: SfmOptions, positions: np.ndarray | None) -> Structure:
     """Return what COLMAP finds; a focal length that contradicts the height of a drone is reported."""
     structure = reconstruct(capture.folder, list(capture.names.values()), stages, options, positions)
-    heights = {capture.names[view]: height for view, height in capture.heights.items() if view in capture.names}
+    heights = {capture.names[view]: height for view, height in capture.heights.items()}
     known = [name for name in structure.poses if name in heights]
     if structure.is_in_metres and known:
         poses, stated = [structure.poses[name] for name in known], [heights[name] for name in known]
@@ -157,7 +157,7 @@ def _positions(capture: Capture, report: Report) -> np.ndarray:
     for file in report.files:
         if file.status == "written" and file.view not in found:
             file.status, file.reason = "left out", "no GPS position with altitude, as --matching nearest needs"
-    capture.names = {view: name for view, name in capture.names.items() if view in found}
+    capture.keep(found)
     return np.array(list(found.values()))
 
 
