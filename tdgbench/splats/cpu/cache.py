@@ -22,9 +22,11 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from filelock import FileLock, Timeout
 from numba.core.caching import FunctionCache
 
 PACKAGE = Path(__file__).resolve().parents[1]
+WAIT_SECONDS = 120.0  # for a process that compiles a kernel; after it, one is taken to have given up
 UNUSED_DAYS = 30  # after which the cache of another state of the sources is removed
 _FOLDER = re.compile(r"[0-9a-f]{16}-\d+")
 _DAY = 86_400.0  # seconds
@@ -100,9 +102,27 @@ def _temporary_home() -> Path:
 
 
 class KernelCache(FunctionCache):
-    """Numba's cache of one kernel, in which damaged files and a full disk cost no more than compiling again."""
+    """Numba's cache of one kernel, which one process at a time compiles while others wait for it.
+
+    Damaged files and a full disk cost no more than compiling again.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._compiling = FileLock(Path(self.cache_path) / f"{function.__qualname__}.lock", timeout=WAIT_SECONDS)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the stored machine code, or None to the one process that is to compile and save it."""
+        found = self._load(sig, target_context)
+        if found is None:
+            with suppress(OSError, Timeout):
+                self._compiling.acquire()
+            found = self._load(sig, target_context)
+            if found is not None:
+                self._compiling.release(force=True)
+        return found
+
+    def _load(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)
         except Exception:  # what reading a damaged file raises depends on the damage
@@ -114,6 +134,8 @@ class KernelCache(FunctionCache):
             super().save_overload(sig, data)
         except Exception:
             self._forget()
+        finally:
+            self._compiling.release(force=True)
 
     def _forget(self) -> None:
         """Empty the index, which numba reads before it saves."""

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numba
 import pytest
+from filelock import FileLock
 from numba.core.caching import IndexDataCacheFile
 
 from tdgbench.splats.cpu import cache
@@ -153,6 +154,47 @@ def test_a_full_disk_costs_only_the_cache(tmp_path, monkeypatch):
         patch.setattr(IndexDataCacheFile, "_save_data", full)
         assert compiled(tmp_path) == 0
     assert (compiled(tmp_path), compiled(tmp_path)) == (0, 1)
+
+
+TOGETHER = """
+import sys, time
+from pathlib import Path
+from tdgbench.splats.cpu import jit
+
+@jit.kernel()
+def double(x):
+    return 2 * x
+
+ready = Path(sys.argv[1])
+(ready / sys.argv[2]).touch()
+while len(list(ready.iterdir())) < 2:
+    time.sleep(0.01)
+assert double(3) == 6
+print(sum(double.stats.cache_hits.values()))
+"""
+
+
+def test_of_two_processes_one_compiles_and_the_other_waits_for_it(tmp_path):
+    script, ready = tmp_path / "script.py", tmp_path / "ready"
+    script.write_text(TOGETHER)
+    ready.mkdir()
+    env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    runs = [
+        subprocess.Popen([sys.executable, script, ready, name], env=env, stdout=subprocess.PIPE, text=True)
+        for name in "ab"
+    ]
+    assert sorted(run.communicate(timeout=300)[0].strip() for run in runs) == ["0", "1"]
+
+
+def test_a_process_that_never_ends_compiling_is_not_waited_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(cache, "WAIT_SECONDS", 0.05)
+    (tmp_path / "cache").mkdir()
+    assert compiled(tmp_path) == 0
+    (lock,) = tmp_path.rglob("double.lock")
+    for file in tmp_path.rglob("*.nb?"):
+        file.unlink()
+    with FileLock(lock):
+        assert (compiled(tmp_path), compiled(tmp_path)) == (0, 1)
 
 
 def test_places_that_other_sources_share_are_not_used(tmp_path):
