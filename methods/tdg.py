@@ -16,6 +16,7 @@ choose.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -30,7 +31,7 @@ from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
-from tdgbench.training.losses import inverse_expected_depth, l1, l1_and_dssim, min_max, ssim, thermal_loss
+from tdgbench.training.losses import inverse_expected_depth, l1_and_dssim, min_max, thermal_loss
 from tdgbench.training.method import Method, Share, SmoothnessReading, Step
 
 MIN_ALPHA = 1e-3  # there is no depth to invert where alpha is not above this
@@ -83,7 +84,7 @@ class TDg(Method):
         if self.depth_reading == "released":
             rendered = released_depth(self.model.copy(), view.camera, self.backend)
             # TDg.py, lines 202 to 219: L1 + (1 − SSIM), with 0 where the prior is unknown
-            return l1_and_dssim(rendered[..., None], prior.normalised[..., None], 1.0, 1.0)
+            return l1_and_dssim(rendered[..., None], prior.image, 1.0, 1.0)
         return depth_loss(comparable_depth(render, prior.kind), prior)
 
     def _decide_skip(self, context: Context) -> bool:
@@ -105,6 +106,16 @@ class DepthTarget:
     valid: Tensor | None  # (H, W) bool: where the prior is known; None: everywhere
     kind: str
     known: int = 0  # the first of the pixels that are known, counted along rows
+
+    @cached_property
+    def image(self) -> Tensor:
+        """The normalised prior (H, W, 1); losses prepare a tensor once, by its identity."""
+        return self.normalised[..., None]
+
+    @cached_property
+    def share(self) -> float:
+        """Share of the pixels that are known."""
+        return 1.0 if self.valid is None else float(self.valid.double().mean())
 
     @classmethod
     def of(cls, prior: DepthPrior, device: torch.device) -> DepthTarget:
@@ -153,11 +164,10 @@ def depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
     True
     """
     if target.valid is None:
-        return l1_and_dssim(min_max(rendered)[..., None], target.normalised[..., None], 1.0, 1.0)
-    a = torch.where(target.valid, min_max(_fill_unknown(rendered, target.valid, target.known)), 0.0)[..., None]
-    b = target.normalised[..., None]
-    share = target.valid.sum() / target.valid.numel()
-    return l1(a, b) / share + (1 - ssim(a, b))
+        normalised = min_max(rendered)
+    else:
+        normalised = torch.where(target.valid, min_max(_fill_unknown(rendered, target.valid, target.known)), 0.0)
+    return l1_and_dssim(normalised[..., None], target.image, 1 / target.share, 1.0)
 
 
 def _fill_unknown(values: Tensor, valid: Tensor, known: int) -> Tensor:

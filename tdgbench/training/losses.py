@@ -23,7 +23,7 @@ from tdgbench.splats.cpu.losses.photometric import Target, photometric_and_gradi
 from tdgbench.splats.warp import fuses
 from tdgbench.training import torch_losses
 
-CACHE_BYTES = 64 * 2**20  # of filtered images: 26 views of 640 × 480 px with one channel
+CACHE_BYTES = 192 * 2**20  # of filtered images: 80 views of 640 × 480 px with one channel, or 40 with depth priors
 MIN_RANGE = 1e-8  # of a map that min-max normalisation stretches
 
 
