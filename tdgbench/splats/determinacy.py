@@ -33,10 +33,11 @@ class Determinacy:
         information = torch.eye(4, dtype=torch.float64, device=gaussians.means.device).repeat(
             len(gaussians.means), 1, 1
         )
+        footprints = footprint_sums(gaussians, 1, backend)
         for camera in cameras:
             pinhole = Pinhole.of(camera).to(gaussians.means)
             counts = gaussians.means.new_ones(pinhole.height, pinhole.width, 1)
-            sums, _ = footprint_sums(gaussians, pinhole, counts, backend)
+            sums, _ = footprints(pinhole, counts)
             x = self._terms(pinhole)
             information += sums.clamp(max=1).double()[:, :, None] * x[:, :, None] * x[:, None, :]
         self.covariance = torch.linalg.inv(information)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from tdgbench.splats.backends import choose_backend, load_backend
-from tdgbench.splats.backends.backend import Collect, StateOptions
+from tdgbench.splats.backends.backend import Collect, StateOptions, SumFootprints
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.pose import with_pose_gradient
@@ -48,19 +47,13 @@ def render_view(
     return load_backend(chosen).render(gaussians, camera, RenderOptions(depth, background, blending, absgrad))
 
 
-def footprint_sums(
-    gaussians: GaussianTensors, camera: Pinhole, maps: Tensor, backend: str = "auto"
-) -> tuple[Tensor, Render]:
-    """Return the sums (N, D) of maps (H, W, D) over the Gaussians' footprints, and a render of black Gaussians.
+def footprint_sums(gaussians: GaussianTensors, channels: int, backend: str = "auto") -> SumFootprints:
+    """Return a function of a camera and maps (H, W, channels) that sums these over each Gaussian's footprint.
 
-    Each pixel is weighted as in the blend: the gradient of a Gaussian's colour, where the image's gradient is the maps.
+    Colours are not used. See `Backend.footprint_sums`.
     """
-    with torch.enable_grad():
-        colors = maps.new_zeros(len(gaussians.means), maps.shape[2], requires_grad=True)
-        view = render_view(gaussians._replace(colors=colors, sh_degree=None), camera, backend=backend)
-        (view.image * maps).sum().backward()  # a scalar: given a gradient, torch imports sympy for half a second
-    assert colors.grad is not None
-    return colors.grad, view
+    chosen = choose_backend(backend, gaussians.means.device, gaussians.means.dtype)
+    return load_backend(chosen).footprint_sums(gaussians, channels)
 
 
 def render_state(

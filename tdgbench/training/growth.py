@@ -21,6 +21,7 @@ from torch import Tensor
 
 from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
+from tdgbench.splats.backends.backend import SumFootprints
 from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.density import GrowthDecision
 from tdgbench.splats.render import footprint_sums, render_view
@@ -70,7 +71,7 @@ class GrowthTest:
         """
         views, weight = gaussians.means.new_zeros(2, len(gaussians))
         difference = gaussians.means.new_zeros(len(gaussians), gaussians.channels)
-        active, halves = gaussians.activated(degree), split_in_halves(gaussians)
+        active, halves = gaussians.activated(degree), sums_of_halves(gaussians, self.backend)
         for view in self.views_of_round(round_number):
             seen = self.measure(self.curriculum.at_resolution(view), active, halves)
             views += seen.visible
@@ -113,13 +114,12 @@ class GrowthTest:
     def _views(self) -> list[View]:
         return [view for view in self.views if self.curriculum.shows(view)]
 
-    def measure(self, view: View, active: GaussianTensors, halves: GaussianTensors) -> Footprints:
+    def measure(self, view: View, active: GaussianTensors, halves: SumFootprints) -> Footprints:
         """Render a view and return the footprints of the Gaussians, and of their halves, in its residual."""
-        thermal_camera = self.camera_of(view.camera)
-        camera = Pinhole.of(thermal_camera).to(active.means)
+        camera = Pinhole.of(self.camera_of(view.camera)).to(active.means)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
         target, valid = self.modality.tensors_of(view, image.device)
-        return footprints(halves, thermal_camera, target - image, valid, self.backend)
+        return footprints(halves, camera, target - image, valid)
 
 
 class Footprints(NamedTuple):
@@ -132,26 +132,26 @@ class Footprints(NamedTuple):
 
 
 @torch.no_grad()
-def footprints(
-    halves: GaussianTensors, camera: Camera, residual: Tensor, valid: Tensor | None, backend: str
-) -> Footprints:
+def footprints(halves: SumFootprints, camera: Pinhole, residual: Tensor, valid: Tensor | None) -> Footprints:
     """Return the footprints of Gaussians in a residual (H, W, C); pixels where `valid` (H, W) is false do not count.
 
-    halves: of the Gaussians, from `split_in_halves`. The gradient of a half's colour is the sum over its footprint of
-    the image's gradient, which is set to the residual.
+    halves: of the Gaussians, from `sums_of_halves`.
     """
     counts = torch.ones_like(residual[..., :1]) if valid is None else valid[..., None].to(residual)
     known = residual if valid is None else torch.where(valid[..., None], residual, 0.0)  # NaN may be at masked pixels
     maps = torch.cat([counts, known], dim=-1)
-    n = len(halves.means) // 2
-    sums, view = footprint_sums(halves, Pinhole.of(camera).to(maps), maps, backend)
-    assert view.projection is not None
+    sums, radii = halves(camera, maps)
+    n = len(sums) // 2
     first, second = sums[:n], sums[n:]
-    radii = view.projection.radii
     return Footprints(
         first[:, 0] + second[:, 0], first[:, 1:] + second[:, 1:], first[:, 1:] - second[:, 1:],
         (radii[:n] > 0) | (radii[n:] > 0),
     )  # fmt: skip
+
+
+def sums_of_halves(gaussians: Gaussians, backend: str) -> SumFootprints:
+    """Return what sums C + 1 maps over the footprints of the halves of Gaussians with C channels."""
+    return footprint_sums(split_in_halves(gaussians), gaussians.channels + 1, backend)
 
 
 def split_in_halves(gaussians: Gaussians) -> GaussianTensors:

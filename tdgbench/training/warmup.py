@@ -8,9 +8,10 @@ import torch
 from tdgbench.scenes import Camera
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
+from tdgbench.splats.view import Pinhole
 from tdgbench.training.budget import Budget
 from tdgbench.training.context import training_device
-from tdgbench.training.growth import footprints, split_in_halves
+from tdgbench.training.growth import footprints, sums_of_halves
 from tdgbench.training.losses import inverse_expected_depth, min_max, thermal_loss
 from tdgbench.training.model import SplatModel
 
@@ -51,5 +52,5 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
                 loss.backward()
             model.step(iteration)
         if budget.growth is not None:
-            footprints(split_in_halves(model.gaussians), camera, torch.zeros_like(black), None, backend)
+            footprints(sums_of_halves(model.gaussians, backend), Pinhole.of(camera), torch.zeros_like(black), None)
         model.optimizer.flush()

@@ -90,10 +90,17 @@ def test_what_training_views_do_not_see_is_guessed():
     assert few[0, 0] == 0 < few.max() < ONE_VIEW  # nothing is rendered at the corner
 
 
-def test_footprint_sums_weight_maps_as_the_blend_does():
+@pytest.mark.parametrize("channels", [2, 5])  # five exceed what a pass of `cpu` blends
+@pytest.mark.parametrize(
+    ("backend", "dtype", "rtol"), [("reference", torch.float64, 1e-9), ("cpu", torch.float32, 1e-4)]
+)
+def test_footprint_sums_weight_maps_as_the_blend_does(backend, dtype, rtol, channels):
     some, seen_from = gaussians(), camera(0)
-    maps = torch.rand(20, 24, 2, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
-    sums, _ = footprint_sums(some, Pinhole.of(seen_from), maps, "reference")
-    np.testing.assert_allclose(
-        sums.numpy(), np.einsum("hwn,hwd->nd", weights(some, seen_from), maps.numpy()), rtol=1e-9
-    )
+    maps = torch.rand(2, 20, 24, channels, generator=torch.Generator().manual_seed(2), dtype=torch.float64).to(dtype)
+    given = GaussianTensors(*(tensor.to(dtype) for tensor in some[:5]))
+    footprints = footprint_sums(given, channels, backend)
+    for map in maps:  # the second is not added to the first
+        sums, radii = footprints(Pinhole.of(seen_from).to(map), map)
+        expected = np.einsum("hwn,hwd->nd", weights(some, seen_from), map.numpy())
+        np.testing.assert_allclose(sums.numpy(), expected, rtol=rtol, atol=rtol)
+        assert ((radii > 0).numpy() | (expected == 0).all(axis=1)).all()

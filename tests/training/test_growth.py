@@ -11,7 +11,7 @@ from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole
 from tdgbench.training.budget import GrowthRule
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.growth import GrowthTest, footprints, split_in_halves
+from tdgbench.training.growth import GrowthTest, footprints, split_in_halves, sums_of_halves
 from tdgbench.training.images import RGB, THERMAL
 from tests.helpers.footprints import drift, edge, two, view_of, views
 
@@ -155,10 +155,14 @@ def long_and_short() -> Gaussians:
     )  # fmt: skip
 
 
+def seen_in(gaussians: Gaussians, residual, valid=None, backend="cpu"):
+    return footprints(sums_of_halves(gaussians, backend), Pinhole.of(camera()).to(residual), residual, valid)
+
+
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 def test_weights_are_those_of_the_blend(backend):
     gaussians = long_and_short()
-    seen = footprints(split_in_halves(gaussians), camera(), torch.ones(32, 32, 1), None, backend)
+    seen = seen_in(gaussians, torch.ones(32, 32, 1), backend=backend)
     for index in range(2):
         parts = split_in_halves(gaussians)
         colors = torch.zeros(4, 1)
@@ -172,9 +176,7 @@ def test_the_difference_is_that_of_the_halves_along_the_longest_axis():
     across, along = torch.ones(32, 32, 1), torch.ones(32, 32, 1)
     along[:, 16:] = -1.0
     across[16:] = -1.0
-    by_columns, by_rows = (
-        footprints(split_in_halves(long_and_short()), camera(), r, None, "cpu") for r in (along, across)
-    )
+    by_columns, by_rows = (seen_in(long_and_short(), residual) for residual in (along, across))
     assert abs(by_columns.difference[0]) > 0.5 * by_columns.weight[0]
     assert abs(by_columns.residual[0]) < 1e-3 * by_columns.weight[0]
     assert abs(by_rows.difference[0]) < 1e-3 * by_rows.weight[0]
@@ -195,8 +197,8 @@ def test_masked_pixels_count_nothing():
     valid[:, :16] = False
     residual = torch.ones(32, 32, 1)
     residual[:, :16] = float("nan")
-    seen = footprints(split_in_halves(long_and_short()), camera(), residual, valid, "cpu")
-    whole = footprints(split_in_halves(long_and_short()), camera(), torch.ones(32, 32, 1), None, "cpu")
+    seen = seen_in(long_and_short(), residual, valid)
+    whole = seen_in(long_and_short(), torch.ones(32, 32, 1))
     assert seen.weight[0].item() == pytest.approx(whole.weight[0].item() / 2, rel=1e-3)
     assert torch.allclose(seen.residual[:, 0], seen.weight)
 
@@ -204,7 +206,7 @@ def test_masked_pixels_count_nothing():
 def test_a_gaussian_out_of_sight_says_nothing():
     gaussians = long_and_short()
     gaussians.means[1] = torch.tensor([0.0, 0.0, -9.0])
-    seen = footprints(split_in_halves(gaussians), camera(), torch.ones(32, 32, 1), None, "cpu")
+    seen = seen_in(gaussians, torch.ones(32, 32, 1))
     assert seen.visible.tolist() == [True, False] and seen.weight[1] == 0
 
 

@@ -20,6 +20,8 @@ from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, R
 Collect = Callable[[Gradients | PendingGradients], None]
 Hook = Callable[[Gaussians, int], GaussianTensors]  # arguments: the Gaussians and the SH degree in use
 
+SumFootprints = Callable[[Pinhole, torch.Tensor], tuple[torch.Tensor, torch.Tensor]]
+
 
 class StateOptions(NamedTuple):
     """How to render a state in training."""
@@ -84,6 +86,23 @@ class Backend(Protocol):
     def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
         """Render one view, with gradients and `Render.projection`. Raises ValueError for what it cannot render."""
         ...
+
+    def footprint_sums(self, gaussians: GaussianTensors, channels: int) -> SumFootprints:
+        """Return a function of a camera and maps (H, W, channels) that sums these over each Gaussian's footprint.
+
+        It returns the sums (N, channels) and the Gaussians' radii (N,), px (0: not visible). A pixel is weighted as in
+        the blend: a sum is the gradient of the Gaussian's colour where that of the image is the maps.
+        """
+
+        def sums(camera: Pinhole, maps: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            with torch.enable_grad():
+                colors = maps.new_zeros(len(gaussians.means), channels, requires_grad=True)
+                view = self.render(gaussians._replace(colors=colors, sh_degree=None), camera, RenderOptions())
+                (view.image * maps).sum().backward()  # given a gradient, torch imports sympy for half a second
+            assert colors.grad is not None and view.projection is not None
+            return colors.grad, view.projection.radii
+
+        return sums
 
     def render_state(
         self, state: TrainingState, optimizer: Adam, camera: Pinhole, options: StateOptions, collect: Collect

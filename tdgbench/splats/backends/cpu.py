@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.backends.backend import Backend, Collect, StateOptions
+from tdgbench.splats.backends.backend import Backend, Collect, StateOptions, SumFootprints
+from tdgbench.splats.columns import COLORS_AT
 from tdgbench.splats.cpu.precompile import compiled_alongside
 from tdgbench.splats.cpu.raster.passes import Blended, blend_backward, forward
 from tdgbench.splats.cpu.raster.source import Span, source_of_arrays, source_of_rows
@@ -118,6 +119,26 @@ class CpuBackend(Backend):
         image = images[0] if len(images) == 1 else torch.cat(images, dim=-1)
         depths = means.detach() @ camera.viewmat[2, :3].to(means) + camera.viewmat[2, 3].to(means)
         return Render(image, depth if options.depth else None, transmittance, Projection(probe, radii, depths, absgrad))
+
+    def footprint_sums(self, gaussians: GaussianTensors, channels: int) -> SumFootprints:
+        if channels > MAX_CHANNELS:
+            return super().footprint_sums(gaussians, channels)
+        count = len(gaussians.means)
+        arrays = [tensor.detach().contiguous().numpy() for tensor in gaussians[:4]]
+        source = source_of_arrays([*arrays, np.zeros((count, channels), np.float32)])
+
+        def sums(camera: Pinhole, maps: Tensor) -> tuple[Tensor, Tensor]:
+            settings = _settings(camera, channels, -1, RenderOptions())
+            done = forward(source, settings)
+            rows = blend_backward(source, settings, done, maps.numpy(), None, None).rows()
+            ids, values, _ = rows.arrays
+            seen, radii, _ = done.projected
+            return (
+                _spread(values[:, COLORS_AT : COLORS_AT + channels], ids, rows.spans, count),
+                _spread(radii[:, None], seen, done.projected_spans, count).squeeze(1),
+            )
+
+        return sums
 
     def render_state(
         self, state: TrainingState, optimizer: Adam, camera: Pinhole, options: StateOptions, collect: Collect
