@@ -1,4 +1,4 @@
-"""Render the views of a method or of a stored model; write and read renders beside ground truth and masks as PNG."""
+"""Render the views of a method or of a stored model; write and read renders and what belongs to them as PNG."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.thermal import IDEAL, ImageResponse, read_response
 from tdgbench.training.trainer import Trainer
+
+DETERMINACY = "determinacy"  # folder of a cell: how well the training views determine each pixel of its test views
 
 
 def render_views(trainer: Trainer, views: list[View], response: ImageResponse = IDEAL) -> dict[str, RenderedImages]:
@@ -74,13 +76,15 @@ def depth_of(render: Render) -> np.ndarray | None:
 def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:
     """Write each view to `folder` as PNG, in the folders of `files_of` each modality that it was rendered in.
 
-    A view with masked pixels has its mask in masks/; its render is whole.
+    A view with masked pixels has its mask in masks/; its render is whole. Determinacy goes to determinacy/, 255 for 1.
     """
     for view in views:
         images = renders[view.name]
         _write_pair(folder, THERMAL, view.name, images.image, view.thermal)
         if view.valid is not None:
             write_mask(folder, view.name, view.valid)
+        if images.determinacy is not None:
+            _write_picture(folder, DETERMINACY, view.name, images.determinacy[..., None])
         for modality, image in images.others.items():
             target = image_of(view, modality)
             if target is not None:
@@ -111,13 +115,25 @@ def stored_view(folder: Path, view: str) -> StoredView:
     return StoredView(truth, image, valid)
 
 
+def stored_determinacy(folder: Path, view: str) -> np.ndarray:
+    """Return the stored determinacy (H, W) of a test view, in [0, 1]. Raises ValueError where it is not there."""
+    path = folder / DETERMINACY / f"{view}.png"
+    if not path.exists():
+        raise ValueError(f"{DETERMINACY}/{view}.png is missing: cells of earlier versions have none")
+    return read_picture(path)[..., 0] / 255
+
+
 def _write_pair(folder: Path, modality: str, name: str, image: np.ndarray, target: np.ndarray) -> None:
     files = files_of(modality)
     for sub, values in ((files.renders, image), (files.targets, target)):
-        path = folder / sub / f"{name}.png"
-        path.parent.mkdir(exist_ok=True)
-        pixels = to_8bit(values)
-        Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(path)
+        _write_picture(folder, sub, name, values)
+
+
+def _write_picture(folder: Path, sub: str, name: str, values: np.ndarray) -> None:
+    path = folder / sub / f"{name}.png"
+    path.parent.mkdir(exist_ok=True)
+    pixels = to_8bit(values)
+    Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(path)
 
 
 @torch.no_grad()

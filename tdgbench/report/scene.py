@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from tdgbench.bench import colours, masks
 from tdgbench.bench.failures import message
-from tdgbench.bench.renders import stored_view
+from tdgbench.bench.renders import stored_determinacy, stored_view
 from tdgbench.report import views
 from tdgbench.report.figures import any_font, plain
 from tdgbench.scoring.metrics.barely_seen import is_barely_seen
@@ -57,7 +57,7 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
         "psnr": MEASURES["psnr"].as_text(cell.record.scores.get("psnr")),
     }
     only_images = cell.record.made_elsewhere is not None and not cell.record.gaussians
-    for draw in (_pictures,) if only_images else (_pictures, _geometry):
+    for draw in (_pictures,) if only_images else (_pictures, _depth, _guesses):
         try:
             shown |= draw(cell.folder, view)
         except Exception as error:  # whatever is on disk, the page is written
@@ -75,15 +75,20 @@ def _pictures(folder: Path, view: str) -> dict[str, Any]:
     return {name: views.embedded(pixels) for name, pixels in pictures.items()}
 
 
-def _geometry(folder: Path, view: str) -> dict[str, Any]:
-    depth, determinacy = views.geometry_of(folder, view)
-    render = colours.in_colour(stored_view(folder, view).render)
+def _depth(folder: Path, view: str) -> dict[str, Any]:
+    depth = views.depth_of(folder, view)
     known = depth[np.isfinite(depth)]
     low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
     return {
         "depth": views.embedded(colours.colored(depth, views.DEPTH, low, high)),
         "depth_range": f"{low:.3g} to {high:.3g}",
-        "guesses": views.embedded(colours.shaded(render, determinacy)),
+    }
+
+
+def _guesses(folder: Path, view: str) -> dict[str, Any]:
+    render, determinacy = stored_view(folder, view).render, stored_determinacy(folder, view)
+    return {
+        "guesses": views.embedded(colours.shaded(colours.in_colour(render), determinacy)),
         "barely_seen": f"{is_barely_seen(determinacy).mean():.0%}",
     }
 

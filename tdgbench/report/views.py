@@ -13,7 +13,7 @@ from PIL import Image
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.colours import UNKNOWN, expected_depth
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.renders import determinacy_of, render_model
+from tdgbench.bench.renders import render_model
 from tdgbench.splats.ply import load_ply
 
 FILES = files_of("thermal")  # the report shows thermal images
@@ -39,9 +39,6 @@ def grayed(pixels: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
     return pixels if valid is None else np.where(valid[..., None], pixels, np.uint8(UNKNOWN))
 
 
-def geometry_of(folder: Path, view: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return z (H, W) of a cell's model in a test view, NaN without a surface, and the determinacy (H, W)."""
-    cameras, gaussians = read_cameras(folder), load_ply(folder / FILES.model)
-    camera = cameras["test"][view]
-    determinacy = determinacy_of(gaussians, cameras["train"].values()).image(camera).numpy()
-    return expected_depth(render_model(gaussians, camera, depth=True)), determinacy
+def depth_of(folder: Path, view: str) -> np.ndarray:
+    """Return z (H, W) of a cell's model in a test view, NaN without a surface."""
+    return expected_depth(render_model(load_ply(folder / FILES.model), read_cameras(folder)["test"][view], depth=True))

@@ -11,7 +11,7 @@ from tdgbench.bench import masks, stored_parts
 from tdgbench.bench.cameras import Cameras
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import FILE, Record
-from tdgbench.bench.renders import response_of
+from tdgbench.bench.renders import DETERMINACY, response_of
 from tdgbench.bench.stored_views import StoredViews, depth_of
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.splats.view import Render
@@ -30,7 +30,7 @@ def picture_problems(names: Iterable[str], views: list[str]) -> Iterator[str]:
     there = set(names)
     found = {
         folder: {PurePosixPath(name).name for name in there if PurePosixPath(name).parent.as_posix() == folder}
-        for folder in (*(sub for modality in LABELS for sub in files_of(modality)[1:]), masks.FOLDER)
+        for folder in (*(sub for modality in LABELS for sub in files_of(modality)[1:]), masks.FOLDER, DETERMINACY)
     }
     expected = {f"{view}.png" for view in views}
     needed = dict.fromkeys(files_of(THERMAL)[1:], expected)

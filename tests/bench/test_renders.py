@@ -4,7 +4,14 @@ import torch
 from PIL import Image
 
 from tdgbench.bench.record import Record
-from tdgbench.bench.renders import blending_of, render_images, render_model, render_views, write_renders
+from tdgbench.bench.renders import (
+    blending_of,
+    render_images,
+    render_model,
+    render_views,
+    stored_determinacy,
+    write_renders,
+)
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tests.helpers.training import ready_to_train
 
@@ -21,12 +28,19 @@ def test_renders_of_a_method_are_those_of_its_model(small_gray_scene):
 def test_pairs_of_pictures(small_scene, tmp_path):
     trainer = ready_to_train(small_scene, "msmg", 3)
     views = small_scene.test
-    write_renders(render_views(trainer, views), views, tmp_path)
+    renders = render_views(trainer, views)
+    write_renders(renders, views, tmp_path)
     names = {f"{view.name}.png" for view in views}
     for folder in ("renders", "targets", "renders_rgb", "targets_rgb"):
         assert {p.name for p in (tmp_path / folder).iterdir()} == names
     target = np.asarray(Image.open(tmp_path / "targets" / f"{views[0].name}.png"))
     assert np.abs(target / 255 - views[0].thermal).max() <= 0.5 / 255 + 1e-6
+    for view in views:
+        known = stored_determinacy(tmp_path, view.name)
+        assert np.abs(known - renders[view.name].determinacy).max() <= 0.5 / 255 + 1e-6 and known.max() > 0.4
+    (tmp_path / "determinacy" / f"{views[0].name}.png").unlink()
+    with pytest.raises(ValueError, match=f"determinacy/{views[0].name}.png is missing: cells of earlier versions"):
+        stored_determinacy(tmp_path, views[0].name)
 
 
 def test_a_cell_of_a_gpu_is_rendered_again_with_its_constants():

@@ -155,6 +155,7 @@ def cut(path: Path) -> None:
         ("log.csv", cut),
         ("views.csv", nothing),
         ("renders", nothing),
+        *(("determinacy/view000.png", spoil) for spoil in (nothing, cut)),
     ],
 )
 def test_what_cannot_be_read_is_na_on_the_page(small_results, tmp_path, name, spoil):

@@ -213,6 +213,8 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "camera elsewhere": (cameras(lambda c: c["test"].update({"../x": c["test"][VIEW]})), "'../x' is no name", True),
     "cameras deep": (write("cameras.json", b'{"test":' + b"[" * 100_000), "cameras.json cannot be read", True),
     "views": (edit(views={"train": 9, "test": 2}), "views.train is 9, cameras.json has 8", True),
+    "determinacy of no view": (
+        lambda c: shutil.copy(c / f"determinacy/{VIEW}.png", c / "determinacy/x.png"), "x.png is of no test v", True),
     "channels": (edit(channels=3), "channels is 3, renders/view000.png has 1", True),
     "no training scores": (edit(train_scores={}), "train_scores lacks psnr", True),
     "configuration": (edit(config__budget__iterations=40), "its configuration, data and code give", True),
