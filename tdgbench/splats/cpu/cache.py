@@ -26,7 +26,7 @@ from filelock import FileLock, Timeout
 from numba.core.caching import FunctionCache
 
 PACKAGE = Path(__file__).resolve().parents[1]
-WAIT_SECONDS = 120.0  # for a process that compiles a kernel; after it, one is taken to have given up
+WAIT_SECONDS = 120.0  # for another process that compiles a kernel; after them, both compile it
 UNUSED_DAYS = 30  # after which the cache of another state of the sources is removed
 _FOLDER = re.compile(r"[0-9a-f]{16}-\d+")
 _DAY = 86_400.0  # seconds
@@ -107,20 +107,32 @@ class KernelCache(FunctionCache):
     Damaged files and a full disk cost no more than compiling again.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        self._compiling = FileLock(Path(self.cache_path) / f"{function.__qualname__}.lock", timeout=WAIT_SECONDS)
+    _lock: FileLock | None = None  # while this process compiles the kernel
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the stored machine code, or None to the one process that is to compile and save it."""
         found = self._load(sig, target_context)
         if found is None:
-            with suppress(OSError, Timeout):
-                self._compiling.acquire()
+            self._acquire()
             found = self._load(sig, target_context)
             if found is not None:
-                self._compiling.release(force=True)
+                self.release()
         return found
+
+    def _acquire(self) -> None:
+        """Wait for a process that compiles the kernel. The lock is made anew: none survives a fork."""
+        path = Path(self.cache_path) / f"{self._impl.filename_base}.lock"
+        lock = FileLock(path, timeout=WAIT_SECONDS, thread_local=False)
+        with suppress(OSError, Timeout):
+            lock.acquire()
+            self._lock = lock
+
+    def release(self) -> None:
+        """Let other processes go on: the kernel is stored, or could not be compiled."""
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            with suppress(OSError):
+                lock.release(force=True)
 
     def _load(self, sig: Any, target_context: Any) -> Any:
         try:
@@ -135,7 +147,7 @@ class KernelCache(FunctionCache):
         except Exception:
             self._forget()
         finally:
-            self._compiling.release(force=True)
+            self.release()
 
     def _forget(self) -> None:
         """Empty the index, which numba reads before it saves."""
@@ -143,8 +155,23 @@ class KernelCache(FunctionCache):
             self.flush()
 
 
-def kernel_cache(function: Callable[..., Any], folder: Path) -> KernelCache | None:
-    """Return the cache of a kernel in a folder; None if the folder cannot be used."""
+def use_cache(compiled: Any, folder: Path) -> None:
+    """Have a kernel of numba's `njit` loaded from a folder, and stored there; not if the folder cannot be used."""
+    cache, compile_anew = _cache_of(compiled.py_func, folder), compiled._compiler.compile
+    if cache is None:
+        return
+
+    def compile_and_release(*signature: Any) -> Any:
+        try:
+            return compile_anew(*signature)
+        except BaseException:  # then nothing is saved, which would release the lock
+            cache.release()
+            raise
+
+    compiled._cache, compiled._compiler.compile = cache, compile_and_release
+
+
+def _cache_of(function: Callable[..., Any], folder: Path) -> KernelCache | None:
     previous = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(folder)
     try:

@@ -9,7 +9,7 @@ from typing import Any
 import llvmlite.binding as llvm
 from numba import njit
 
-from tdgbench.splats.cpu.cache import kernel_cache, open_cache
+from tdgbench.splats.cpu.cache import open_cache, use_cache
 
 # Fast-math without reassociation: float sums keep the order in which they are written, so that results do not
 # depend on how the compiler unrolls, and the exp2 rounding trick survives.
@@ -37,7 +37,7 @@ def kernel(
 ) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function to machine code that runs without the GIL.
 
-    inline: a helper that kernels call, and Python cannot; it counts no references to arrays, which would cost atomic
+    inline: a helper that kernels call; a call from Python crashes; it counts no references to arrays, which would cost atomic
     operations in inner loops, unless it `allocates`. free_sums: sums may be reordered, and so vectorised; for kernels
     whose sums run over one row, so that results still do not depend on the number of threads. variant: name of one of
     several kernels made from the same source; each has separate files in the cache. Its closure may hold numbers only:
@@ -57,9 +57,8 @@ def kernel(
         }
         if inline:
             return njit(forceinline=True, _nrt=allocates, no_cpython_wrapper=True, **options)(function)
-        compiled, cache = njit(**options)(function), kernel_cache(function, CACHE_DIR)
-        if cache is not None:
-            compiled._cache = cache
+        compiled = njit(**options)(function)
+        use_cache(compiled, CACHE_DIR)
         return compiled
 
     return decorate

@@ -131,7 +131,7 @@ def compiled(tmp_path):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     function = numba.njit(module.double)
-    function._cache = cache.kernel_cache(module.double, tmp_path / "cache")
+    cache.use_cache(function, tmp_path / "cache")
     assert function(3) == 6
     return sum(function.stats.cache_hits.values())
 
@@ -167,7 +167,8 @@ def double(x):
 
 ready = Path(sys.argv[1])
 (ready / sys.argv[2]).touch()
-while len(list(ready.iterdir())) < 2:
+deadline = time.monotonic() + 120
+while len(list(ready.iterdir())) < 2 and time.monotonic() < deadline:
     time.sleep(0.01)
 assert double(3) == 6
 print(sum(double.stats.cache_hits.values()))
@@ -190,14 +191,51 @@ def test_a_process_that_never_ends_compiling_is_not_waited_for(tmp_path, monkeyp
     monkeypatch.setattr(cache, "WAIT_SECONDS", 0.05)
     (tmp_path / "cache").mkdir()
     assert compiled(tmp_path) == 0
-    (lock,) = tmp_path.rglob("double.lock")
+    (lock,) = tmp_path.rglob("*double*.lock")
     for file in tmp_path.rglob("*.nb?"):
         file.unlink()
     with FileLock(lock):
         assert (compiled(tmp_path), compiled(tmp_path)) == (0, 1)
 
 
+FAILING = """
+import os
+from filelock import FileLock
+from tdgbench.splats.cpu import jit
+
+@jit.kernel()
+def wrong(x):
+    return x.double
+
+@jit.kernel()
+def double(x):
+    return 2 * x
+
+try:
+    wrong(3)
+except Exception as error:
+    print(type(error).__name__, flush=True)
+child = os.fork()
+if child == 0:
+    (lock,) = jit.CACHE_DIR.rglob("*wrong*.lock")
+    FileLock(lock).acquire(timeout=0)
+    os._exit(double(3) != 6)
+print(os.waitpid(child, 0)[1])
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this platform cannot fork")
+def test_a_kernel_that_was_not_compiled_is_locked_no_longer_and_a_forked_child_compiles(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(FAILING)
+    env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    run = subprocess.run([sys.executable, script], env=env, capture_output=True, text=True, timeout=100)
+    assert run.stdout.split() == ["TypingError", "0"], run.stderr
+
+
 def test_places_that_other_sources_share_are_not_used(tmp_path):
     (tmp_path / "cache").touch()  # numba then takes __pycache__
-    function = importlib.import_module("tdgbench.splats.cpu.cache").remove_unused
-    assert cache.kernel_cache(function, tmp_path / "cache") is None
+    function = numba.njit(importlib.import_module("tdgbench.splats.cpu.cache").remove_unused)
+    before = function._cache
+    cache.use_cache(function, tmp_path / "cache")
+    assert function._cache is before
