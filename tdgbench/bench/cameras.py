@@ -28,9 +28,8 @@ def write_cameras(path: Path, scene: Scene) -> None:
 def read_cameras(folder: Path) -> Cameras:
     """Read the cameras of a cell. Raises ValueError, naming the file or the view, if it holds anything else."""
     path = folder / FILE
-    text = read_text(path)
     try:
-        content = json.loads(text)
+        content = json.loads(read_text(path))
         found: Cameras = {
             part: {name: _from_json(camera) for name, camera in content[part].items()} for part in ("train", "test")
         }

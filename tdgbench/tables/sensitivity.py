@@ -141,7 +141,7 @@ def stored_pairs(folder: Path, convention: Convention) -> Iterator[ImagePair]:
         try:
             target, image, valid = stored_view(folder, path.stem)
         except (OSError, ValueError) as error:
-            raise ValueError(f"{folder}: view {path.stem} cannot be read: {error}") from error
+            raise ValueError(f"{folder}: {error}") from error
         inside = np.float32(1 if valid is None else valid[..., None])
         image, target = (pixels * inside / np.float32(255) for pixels in (image, target))
         yield ImagePair(image, target, convention, valid)

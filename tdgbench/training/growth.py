@@ -71,9 +71,9 @@ class GrowthTest:
         """
         views, weight = gaussians.means.new_zeros(2, len(gaussians))
         difference = gaussians.means.new_zeros(len(gaussians), gaussians.channels)
-        active, halves = gaussians.activated(degree), sums_of_halves(gaussians, self.backend)
+        active, sum_halves = gaussians.activated(degree), sums_of_halves(gaussians, self.backend)
         for view in self.views_of_round(round_number):
-            seen = self.measure(self.curriculum.at_resolution(view), active, halves)
+            seen = self.measure(self.curriculum.at_resolution(view), active, sum_halves)
             views += seen.visible
             weight += seen.weight
             difference += seen.difference
@@ -114,12 +114,12 @@ class GrowthTest:
     def _views(self) -> list[View]:
         return [view for view in self.views if self.curriculum.shows(view)]
 
-    def measure(self, view: View, active: GaussianTensors, halves: SumFootprints) -> Footprints:
+    def measure(self, view: View, active: GaussianTensors, sum_halves: SumFootprints) -> Footprints:
         """Render a view and return the footprints of the Gaussians, and of their halves, in its residual."""
         camera = Pinhole.of(self.camera_of(view.camera)).to(active.means)
         image = render_view(active, camera, background=self.background, backend=self.backend).image
         target, valid = self.modality.tensors_of(view, image.device)
-        return footprints(halves, camera, target - image, valid)
+        return footprints(sum_halves, camera, target - image, valid)
 
 
 class Footprints(NamedTuple):
@@ -132,15 +132,15 @@ class Footprints(NamedTuple):
 
 
 @torch.no_grad()
-def footprints(halves: SumFootprints, camera: Pinhole, residual: Tensor, valid: Tensor | None) -> Footprints:
+def footprints(sum_halves: SumFootprints, camera: Pinhole, residual: Tensor, valid: Tensor | None) -> Footprints:
     """Return the footprints of Gaussians in a residual (H, W, C); pixels where `valid` (H, W) is false do not count.
 
-    halves: of the Gaussians, from `sums_of_halves`.
+    sum_halves: from `sums_of_halves` of the Gaussians.
     """
     counts = torch.ones_like(residual[..., :1]) if valid is None else valid[..., None].to(residual)
     known = residual if valid is None else torch.where(valid[..., None], residual, 0.0)  # NaN may be at masked pixels
     maps = torch.cat([counts, known], dim=-1)
-    sums, radii = halves(camera, maps)
+    sums, radii = sum_halves(camera, maps)
     n = len(sums) // 2
     first, second = sums[:n], sums[n:]
     return Footprints(
@@ -150,7 +150,7 @@ def footprints(halves: SumFootprints, camera: Pinhole, residual: Tensor, valid: 
 
 
 def sums_of_halves(gaussians: Gaussians, backend: str) -> SumFootprints:
-    """Return what sums C + 1 maps over the footprints of the halves of Gaussians with C channels."""
+    """Return a function that sums C + 1 maps over the footprints of the halves of Gaussians with C channels."""
     return footprint_sums(split_in_halves(gaussians), gaussians.channels + 1, backend)
 
 

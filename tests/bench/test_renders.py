@@ -39,7 +39,9 @@ def test_pairs_of_pictures(small_scene, tmp_path):
         known = stored_determinacy(tmp_path, view.name)
         assert np.abs(known - renders[view.name].determinacy).max() <= 0.5 / 255 + 1e-6 and known.max() > 0.4
     (tmp_path / "determinacy" / f"{views[0].name}.png").unlink()
-    with pytest.raises(ValueError, match=f"determinacy/{views[0].name}.png is missing: cells of earlier versions"):
+    with pytest.raises(
+        ValueError, match=f"determinacy/{views[0].name}.png is missing; run a cell of an earlier version again"
+    ):
         stored_determinacy(tmp_path, views[0].name)
 
 

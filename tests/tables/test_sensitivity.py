@@ -162,7 +162,7 @@ def test_a_damaged_picture_is_named(tmp_path, capsys):
     folder = cell(tmp_path / "x", "tdg", [2.0])
     (folder / "renders" / "0.png").write_bytes(b"no picture")
     assert main(["sensitivity", str(tmp_path / "x")]) == 1
-    assert "view 0 cannot be read: it is no picture" in capsys.readouterr().err
+    assert "renders/0.png cannot be read: it is no picture" in capsys.readouterr().err
 
 
 def test_a_folder_must_be_named(capsys):

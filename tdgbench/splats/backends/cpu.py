@@ -128,9 +128,11 @@ class CpuBackend(Backend):
         source = source_of_arrays([*arrays, np.zeros((count, channels), np.float32)])
 
         def sums(camera: Pinhole, maps: Tensor) -> tuple[Tensor, Tensor]:
+            if maps.shape != (camera.height, camera.width, channels):
+                raise ValueError(f"maps of {channels} channels were announced; these are {tuple(maps.shape)}")
             settings = _settings(camera, channels, -1, RenderOptions())
             done = forward(source, settings)
-            rows = blend_backward(source, settings, done, maps.numpy(), None, None).rows()
+            rows = blend_backward(source, settings, done, *_arrays((maps, None, None))).rows()
             ids, values, _ = rows.arrays
             seen, radii, _ = done.projected
             return (

@@ -37,11 +37,11 @@ def kernel(
 ) -> Callable[[Callable[..., Any]], Any]:
     """Compile a function to machine code that runs without the GIL.
 
-    inline: a helper that kernels call; a call from Python crashes; it counts no references to arrays, which would cost atomic
-    operations in inner loops, unless it `allocates`. free_sums: sums may be reordered, and so vectorised; for kernels
-    whose sums run over one row, so that results still do not depend on the number of threads. variant: name of one of
-    several kernels made from the same source; each has separate files in the cache. Its closure may hold numbers only:
-    Numba hashes it to find the machine code, and a function in it hashes differently in every process.
+    inline: a helper that kernels call (a call from Python crashes); it counts no references to arrays, which would cost
+    atomic operations in inner loops, unless it `allocates`. free_sums: sums may be reordered, and so vectorised; for
+    kernels whose sums run over one row, so that results still do not depend on the number of threads. variant: name of
+    one of several kernels made from the same source; each has separate files in the cache. Its closure may hold numbers
+    only: Numba hashes it to find the machine code, and a function in it hashes differently in every process.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:

@@ -1,7 +1,8 @@
 """Compile kernels in a second process while the first step of a training compiles others.
 
 Numba compiles one kernel at a time in a process. The second process calls the kernels that a training reaches last,
-with nothing to do, and leaves their machine code in the cache. Whichever process reaches a kernel first compiles it.
+with nothing to do, and leaves their machine code in the cache. Whichever process reaches a kernel first compiles it;
+others wait for it.
 """
 
 from __future__ import annotations
