@@ -44,9 +44,9 @@ class SettlingRule:
     share of those at the current resolution, gains less than `gain` on the window before; at the full resolution, less
     by the gain's standard error, so that noise hides no gain, and no check counts before anything has grown
     (`last_after`). Below the full resolution it then goes on to the next one. At the full resolution, where the windows
-    of stalls in a row cover `stalled_checks`, or after two resolutions in a row without a new best, it settles: it goes
-    back to the check with the highest PSNR and the resolution there, the held-out views are trained on as well, no
-    Gaussians are added, and all learning rates fall log-linearly for `tail`.
+    of stalls in a row cover `stalled_checks`, or after two resolutions in a row without a new best, it settles at the
+    best: the held-out views are trained on as well, no Gaussians are added, and all learning rates fall log-linearly
+    for `tail`.
     A training that never stalls settles that long before its last iteration.
     """
 

@@ -74,8 +74,6 @@ def train(
         with trainer.pending:
             while not log.ended:
                 iteration = log.iterations - trainer.iterations_before + 1  # within the stage
-                if trainer.stopping is not None:
-                    trainer.stopping.begin(iteration)
                 for part in trainer.parts.values():
                     part.begin(iteration)
                 step = trainer.stage.step(iteration)

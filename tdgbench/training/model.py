@@ -147,11 +147,6 @@ class SplatModel(Part):
         self.work = Work(**saved["work"])
         self._generator.set_state(saved["generator"])
 
-    def go_back(self, saved: State) -> None:
-        work = self.work
-        self.load_state_dict(saved)
-        self.work = work
-
     def report(self) -> Report:
         behind = {} if self.background is None else {"background": self.background.tolist()}
         size = {"gaussians": len(self), "parameters": self.state.values.numel()}

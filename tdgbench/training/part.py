@@ -52,10 +52,6 @@ class Part:
     def load_state_dict(self, saved: State) -> None:
         """Restore what `state_dict` returned."""
 
-    def go_back(self, saved: State) -> None:
-        """Restore what `state_dict` returned earlier in this training, but not the counts of work done since."""
-        self.load_state_dict(saved)
-
     def report(self) -> Report:
         """Return facts for the record that JSON can represent."""
         return {}

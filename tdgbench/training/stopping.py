@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -16,7 +15,6 @@ from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.part import Part, State, Stopping
 
 MIN_MSE = 1e-10
-STILL_LEARNS = 0.5  # dB that one held-out view has gained while others fell: something came before these
 IN_A_ROW = 2  # resolutions that are no better: one alone may still suffer from the change
 
 
@@ -57,14 +55,6 @@ def psnr_of_error(error: np.ndarray) -> float:
     return -10 * math.log10(max(float(np.square(error).mean(dtype=np.float64)), MIN_MSE))
 
 
-class Best(NamedTuple):
-    """The check with the highest PSNR so far."""
-
-    psnrs: list[float]  # dB, by held-out view
-    scale: int
-    parts: dict[str, State]
-
-
 class Settling(Stopping):
     """Raises the resolution, lowers the learning rates and ends a training, by the PSNR of held-out views."""
 
@@ -84,29 +74,18 @@ class Settling(Stopping):
         self._scale = curriculum.scale
         self._psnrs: list[list[float]] = []  # of the checks at this resolution, by view
         self._stalls = 0  # of the last checks, in a row
-        self._best: Best | None = None  # of all checks
-        self._goes_back = False  # before the next iteration
         self._best_scale, self._best_psnrs = 0, list[float]()  # of the resolutions before, at its end; 0: none
         self._no_better = 0  # resolutions in a row since then
 
     def state_dict(self) -> State:
-        names = ("_scale", "_psnrs", "_stalls", "_goes_back", "_best_scale", "_best_psnrs", "_no_better")
-        best = None if self._best is None else tuple(self._best)
-        return {"best": best, **{name.strip("_"): getattr(self, name) for name in names}}
+        names = ("_scale", "_psnrs", "_stalls", "_best_scale", "_best_psnrs", "_no_better")
+        return {name.strip("_"): getattr(self, name) for name in names}
 
     def load_state_dict(self, saved: State) -> None:
         for name, value in saved.items():
             setattr(self, f"_{name}", list(value) if isinstance(value, list) else value)
-        self._best = None if saved["best"] is None else Best(*saved["best"])
         if self.curriculum.settled_at:
             self._stop_growth()
-
-    def begin(self, iteration: int) -> None:
-        """Go back to the best check if the training has settled: no step of the loop is under way."""
-        if self._goes_back and self._best is not None:
-            for name, saved in self._best.parts.items():
-                self.parts[name].go_back(saved)
-            self._best, self._goes_back = None, False
 
     def reached(self, iteration: int, loss: float) -> bool:
         curriculum = self.curriculum
@@ -140,28 +119,20 @@ class Settling(Stopping):
         if is_full and iteration <= rule.last_after:
             return None
         self._psnrs.append(self._held_out_psnrs())
-        self._keep(self._psnrs[-1])
         last = last_window(rule, self._psnrs, rule.last_checks if is_full else rule.checks)
         if last is None:
             return None
         self._stalls = 0 if last.gain + is_full * last.standard_error >= rule.gain else self._stalls + 1
         if not self._stalls or (is_full and last.checks + self._stalls - 1 < rule.stalled_checks):
             return None
-        if is_full or (self._no_better >= IN_A_ROW - 1 and not self._is_best(last.psnrs)):
-            if self._best is not None and max(last.psnrs - self._best.psnrs) < STILL_LEARNS:
-                self._goes_back = True
-                return self._best.scale
-            return curriculum.scale if self._is_best(last.psnrs) else self._best_scale
+        is_last = is_full or self._no_better >= IN_A_ROW - 1
+        if is_last and not self._is_best(last.psnrs):
+            return self._best_scale
+        if is_full:
+            return curriculum.scale
         curriculum.advance()
         self._leave_resolution()
         return None
-
-    def _keep(self, psnrs: list[float]) -> None:
-        """Keep the parts as they are if no check had a higher PSNR (dB, by held-out view) on average."""
-        if self._best is None or np.mean(psnrs) >= np.mean(self._best.psnrs):
-            parts = {name: part for name, part in self.parts.items() if part is not self.curriculum}
-            states = {name: copy.deepcopy(part.state_dict()) for name, part in parts.items()}
-            self._best = Best(psnrs, self.curriculum.scale, states)
 
     def _is_best(self, psnrs: np.ndarray) -> bool:
         """Return whether held-out views (V,) are better than with the best resolution so far."""
@@ -198,10 +169,6 @@ class AllSettled(Stopping):
     def load_state_dict(self, saved: State) -> None:
         for name, rule in self.rules.items():
             rule.load_state_dict(saved[name])
-
-    def begin(self, iteration: int) -> None:
-        for rule in self.rules.values():
-            rule.begin(iteration)
 
     def reached(self, iteration: int, loss: float) -> bool:
         reached = [rule.reached(iteration, loss) for rule in self.rules.values()]  # all of them look

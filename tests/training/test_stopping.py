@@ -24,16 +24,10 @@ CONF = (
 
 
 class Watched(Part):
-    """A part that notes its rate, and when it stops to grow, and counts its iterations."""
+    """A part that notes its rate, and when it stops to grow."""
 
     def __init__(self):
-        self.rate, self.stopped, self.trained = 1.0, [], 0
-
-    def state_dict(self):
-        return {"trained": self.trained}
-
-    def load_state_dict(self, saved):
-        self.trained = saved["trained"]
+        self.rate, self.stopped = 1.0, []
 
     def scale_learning_rates(self, factor):
         self.rate = factor
@@ -53,9 +47,7 @@ class Scripted(Settling):
 
     def reached(self, iteration, loss=0.0):
         self.iteration = iteration
-        self.begin(iteration)
         self.curriculum.begin(iteration)
-        self.part.trained += 1
         return super().reached(iteration, loss)
 
     def _held_out_psnrs(self):
@@ -152,13 +144,6 @@ def test_a_resolution_that_is_no_better_is_left_again():
     assert settling.curriculum.iterations == {4: 40, 2: 40 + 60, 1: 40} and settling.curriculum.scale == 2
 
 
-def test_it_goes_back_to_the_best_check():
-    """Where the training was at 30, at the scale of that check, and goes on from there."""
-    settling = Scripted(lambda i, scale: 20.0 - abs(i - 30) / 100, steps=[(35, 2)])
-    assert end_of(settling) == 70 + 35
-    assert settling.part.trained == 30 + 35 and settling.curriculum.scale == 2
-
-
 def test_one_resolution_that_is_no_better_is_passed_and_two_are_not():
     steps = [(400, 8), (500, 4), (800, 2)]
     passed = Scripted(lambda i, scale: {8: 5.0, 4: 4.0, 2: 8.0, 1: 9.0}[scale], steps=steps)
@@ -166,7 +151,7 @@ def test_one_resolution_that_is_no_better_is_passed_and_two_are_not():
     assert passed.curriculum.iterations == {8: 40, 4: 40, 2: 40, 1: 40 + 80} and passed.curriculum.scale == 1
     left = Scripted(lambda i, scale: {8: 5.0, 4: 4.0, 2: 5.05, 1: 9.0}[scale], steps=steps)
     assert end_of(left) == 120 + 60
-    assert left.curriculum.iterations == {8: 40, 4: 40, 2: 40 + 60, 1: 0} and left.curriculum.scale == 2
+    assert left.curriculum.iterations == {8: 40 + 60, 4: 40, 2: 40, 1: 0} and left.curriculum.scale == 8
 
 
 def test_a_resolution_that_the_schedule_ends_counts_as_well():
@@ -210,11 +195,9 @@ def test_a_restored_state_goes_on_alike(stop, psnrs):
         settling.reached(i)
     again.curriculum.load_state_dict(settling.curriculum.state_dict())
     again.load_state_dict(settling.state_dict())
-    again.part.load_state_dict(settling.part.state_dict())
     assert again.stopped == settling.stopped and again.curriculum.is_holding == settling.curriculum.is_holding
     assert [settling.reached(i) for i in range(stop, 190)] == [again.reached(i) for i in range(stop, 190)]
     assert settling.rate == again.rate and settling.curriculum.iterations == again.curriculum.iterations
-    assert settling.part.trained == again.part.trained < 189
 
 
 def test_held_out_views_are_spread_and_few_views_are_all_trained_on(small_scene):
@@ -256,33 +239,6 @@ def test_each_model_of_msmg_ends_by_its_own_images(small_gray_scene, tmp_path, f
     assert set(log.lines[0].terms) == {"rgb", "thermal"} and set(log.lines[-1].terms) == {second}
     assert trainer.context.curricula[first].iterations == {1: 15}
     killed, _ = train_killed(make, tmp_path / "a.pt", [12, 22])
-    assert digest_of_all(killed) == digest_of_all(trainer)
-
-
-def test_a_model_goes_back_to_the_best_check_and_keeps_its_counts(small_gray_scene, tmp_path):
-    """The check at 10 is made the best; a round of growth follows it, and is undone when the training settles at 15."""
-    psnrs = {5: 10.0, 10: 12.0, 15: 11.5}
-    seen = {}
-
-    def make():
-        trainer = ready_to_train(
-            small_gray_scene, "3dgs", 60, CONF, "budget.settling.gain=0.6", "budget.density.start=4",
-            "budget.density.every=5", "budget.density.stop=30", "budget.density.grad_threshold=1e-6",
-        )  # fmt: skip
-        trainer.stopping._held_out_psnrs = lambda: [psnrs[trainer.parts["thermal"]._iteration]]
-        return trainer
-
-    def note(log):
-        model = trainer.parts["thermal"]
-        seen[log.iterations] = len(model), model.work.split + model.work.cloned
-
-    trainer = make()
-    log = train(trainer, after_iteration=note)
-    settled = trainer.context.curriculum("thermal").settled_at
-    assert (settled, log.iterations) == (15, 23)
-    before, grown, after = (seen[iteration] for iteration in (9, 15, 16))
-    assert before[0] == after[0] == seen[23][0] < grown[0] and before[1] < grown[1] == after[1]
-    killed, _ = train_killed(make, tmp_path / "c.pt", (9, 10, 14, 15, 16))
     assert digest_of_all(killed) == digest_of_all(trainer)
 
 
