@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from tdgbench.scoring.metric import ViewMetric
 from tdgbench.scoring.scored_view import NotApplicableError, ScoredView, as_saved, at_valid
@@ -47,7 +46,9 @@ def guess_correlation(determinacy: np.ndarray, error: np.ndarray) -> float:
     some = determinacy[::step], error[::step]
     if any(np.ptp(values) == 0 for values in some):
         raise NotApplicableError("all pixels are determined equally well, or all errors are equal")
-    ranks = [pd.Series(values).rank() for values in some]  # scipy.stats takes half a second to import
+    import pandas as pd  # the tables need it as well, where scipy.stats would take half a second more
+
+    ranks = [pd.Series(values).rank() for values in some]
     return -float(np.corrcoef(*ranks)[0, 1])
 
 
