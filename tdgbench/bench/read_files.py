@@ -79,6 +79,16 @@ def read_picture(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
     return values[..., None] if values.ndim == 2 else values
 
 
+def read_named(folder: Path, name: str, size: tuple[int, int] | None = None) -> np.ndarray:
+    """`read_picture` of a cell's folder, by relative path. Raises ValueError, naming it, if missing or unusable."""
+    try:
+        return read_picture(folder / name, size)
+    except FileNotFoundError as error:
+        raise ValueError(f"{name} is missing") from error
+    except ValueError as error:
+        raise ValueError(f"{name} cannot be read: {error}") from error
+
+
 def _check_header(picture: Image.Image, size: tuple[int, int] | None) -> None:
     if size is not None and picture.size != size:
         raise ValueError(f"it is {picture.width}×{picture.height} px, its camera {size[0]}×{size[1]} px")

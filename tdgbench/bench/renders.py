@@ -14,7 +14,7 @@ from torch import Tensor
 
 from tdgbench.bench.masks import has_mask, read_mask, write_mask
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.read_files import read_picture
+from tdgbench.bench.read_files import read_named
 from tdgbench.bench.record import Record
 from tdgbench.scenes import Camera, View
 from tdgbench.scenes.modalities import OTHERS, THERMAL, image_of
@@ -108,7 +108,7 @@ class StoredView(NamedTuple):
 def stored_view(folder: Path, view: str) -> StoredView:
     """Return the stored thermal pictures of a test view. Raises ValueError where one is missing or unusable."""
     files = files_of(THERMAL)
-    truth, image = (_read_named(folder, sub, view) for sub in (files.targets, files.renders))
+    truth, image = (read_named(folder, f"{sub}/{view}.png") for sub in (files.targets, files.renders))
     if truth.shape != image.shape:
         raise ValueError(f"{folder}: {files.targets} and {files.renders} of {view} differ in size")
     valid = read_mask(folder, view, (truth.shape[1], truth.shape[0])) if has_mask(folder, view) else None
@@ -117,20 +117,10 @@ def stored_view(folder: Path, view: str) -> StoredView:
 
 def stored_determinacy(folder: Path, view: str) -> np.ndarray:
     """Return the stored determinacy (H, W) of a test view, in [0, 1]. Raises ValueError where it is not there."""
-    path = folder / DETERMINACY / f"{view}.png"
-    if not path.exists():
-        raise ValueError(
-            f"{DETERMINACY}/{view}.png is missing; run a cell of an earlier version again, with overwrite=always"
-        )
-    return _read_named(folder, DETERMINACY, view)[..., 0] / 255
-
-
-def _read_named(folder: Path, sub: str, view: str) -> np.ndarray:
-    """Return a picture of a cell. Raises ValueError, naming it, where it is missing or unusable."""
-    try:
-        return read_picture(folder / sub / f"{view}.png")
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{sub}/{view}.png cannot be read: {error}") from error
+    name = f"{DETERMINACY}/{view}.png"
+    if not (folder / name).exists():
+        raise ValueError(f"{name} is missing; run a cell of an earlier version again, with overwrite=always")
+    return read_named(folder, name)[..., 0] / 255
 
 
 def _write_pair(folder: Path, modality: str, name: str, image: np.ndarray, target: np.ndarray) -> None:

@@ -12,7 +12,7 @@ from tdgbench.bench import stored_parts
 from tdgbench.bench.cameras import Cameras
 from tdgbench.bench.masks import has_mask, read_mask
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.read_files import read_picture
+from tdgbench.bench.read_files import read_named, read_picture
 from tdgbench.bench.record import Record
 from tdgbench.bench.renders import background_of, blending_of, depth_of, determinacy_of, render_model, response_of
 from tdgbench.bench.stored_parts import StoredMethod
@@ -105,9 +105,6 @@ class StoredViews:
 
     def values(self, sub: str, name: str) -> np.ndarray:
         """Read a stored picture, (H, W, C) float32 in [0, 1]. Raises ValueError, naming it, if it cannot be read."""
-        try:
-            return self.stored(sub, name).astype(np.float32) / np.float32(255)
-        except FileNotFoundError as error:
-            raise ValueError(f"{sub}/{name}.png is missing") from error
-        except ValueError as error:
-            raise ValueError(f"{sub}/{name}.png cannot be read: {error}") from error
+        camera = self.cameras[name]
+        pixels = read_named(self.folder, f"{sub}/{name}.png", (camera.width, camera.height))
+        return pixels.astype(np.float32) / np.float32(255)
