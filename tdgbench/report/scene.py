@@ -95,8 +95,9 @@ def _guesses(folder: Path, view: str) -> dict[str, Any]:
 
 def curves_as_svg(cells: list[Cell], problems: list[str]) -> str:
     """Return loss, PSNR and number of Gaussians along each cell's training, as SVG; unreadable logs are n/a."""
-    figure = Figure(figsize=(10, 2.6), layout="constrained")
+    figure = Figure(figsize=(10, 2.6))
     panels = figure.subplots(1, len(CURVES))
+    figure.subplots_adjust(left=0.05, right=0.99, bottom=0.17, top=0.9, wspace=0.3)
     for cell in cells:
         if cell.record.made_elsewhere is not None:
             continue
@@ -108,7 +109,7 @@ def curves_as_svg(cells: list[Cell], problems: list[str]) -> str:
             axes.plot(log["seconds"], log[column], linewidth=1, label=plain(methods.label(cell.label)))
     for axes, title in zip(panels, CURVES.values(), strict=True):
         axes.set_xlabel("seconds of training")
-        axes.set_title(title, fontsize=9)
+        axes.set_title(title, fontsize=9, y=1.0)
         axes.grid(linewidth=0.3)
     if panels[0].lines:
         panels[0].legend(fontsize=7)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,6 +17,7 @@ from tdgbench.report.figures import plain, save_figure
 from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view
 
 MOST_BESIDE = 4  # methods whose errors are beside their renders
+TITLE: dict[str, Any] = {"fontsize": 8, "y": 1.0}  # a height of its own spares matplotlib the search for one
 
 
 def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
@@ -27,8 +29,9 @@ def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
         return False
     below = len(methods) > MOST_BESIDE  # errors have a row of their own
     rows, columns = len(scenes) * (1 + below), 1 + len(methods) * (2 - below)
-    figure = Figure(figsize=(2.4 * columns, 1.95 * rows), layout="constrained")
+    figure = Figure(figsize=(2.4 * columns, 1.95 * rows))
     axes = figure.subplots(rows, columns, squeeze=False)
+    figure.subplots_adjust(0.03 / columns, 0.03 / rows, 1 - 0.03 / columns, 1 - 0.13 / rows, wspace=0.06, hspace=0.15)
     for axis in axes.flat:
         axis.set_axis_off()
     for place, row, errors in zip(scenes, axes[:: 1 + below], axes[below :: 1 + below], strict=True):
@@ -47,17 +50,17 @@ def draw_cell(axes: tuple[Axes, Axes, Axes], record: Record, folder: Path, name:
     on_truth, on_render, on_error = axes
     psnr = record.scores.get("psnr")
     title = f"{plain(record.method)} {'n/a' if psnr is None else f'{psnr:.1f} dB'}"
-    on_render.set_title(title, fontsize=8)
+    on_render.set_title(title, **TITLE)
     try:
         stored = stored_view(folder, middle_view([folder]))
     except (OSError, ValueError):
-        on_render.set_title(f"{title}: picture n/a", fontsize=8)
+        on_render.set_title(f"{title}: picture n/a", **TITLE)
         return
     on_truth.imshow(grayed(in_colour(stored.truth), stored.valid))
-    on_truth.set_title(f"{plain(name)}: ground truth", fontsize=8)
+    on_truth.set_title(f"{plain(name)}: ground truth", **TITLE)
     on_render.imshow(in_colour(stored.render))
     on_error.imshow(stored.error, vmin=0, vmax=ERROR_RANGE, cmap=ERROR)
-    on_error.set_title(f"{plain(record.method)} error (0 to {ERROR_RANGE})", fontsize=8)
+    on_error.set_title(f"{plain(record.method)} error (0 to {ERROR_RANGE})", **TITLE)
 
 
 def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str]]) -> str:
