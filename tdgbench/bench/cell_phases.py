@@ -165,6 +165,8 @@ class CellRun(SetupObserver):
         """Render and score the views; write the cell's folder whole or not at all."""
         record = self.record
         trainer, scene, response, log, checkpoint, scorer = trained
+        for model in trainer.gaussians.values():
+            model.end()
         with whole_folder(self.folder) as unfinished:
             with self.phase("render"):
                 renders = render_views(trainer, scene.test, response)

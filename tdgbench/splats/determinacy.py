@@ -21,6 +21,7 @@ from tdgbench.splats.render import footprint_sums, render_view
 from tdgbench.splats.view import CameraLike, GaussianTensors, Pinhole
 
 T = 2.0  # standard deviation of a colour's mean, and of its change over a radian, × that of a measurement
+AT_ONCE = 8192  # Gaussians: the double precision of all would take more memory than a training
 ONE_VIEW = math.exp(-2 * T**2 / (1 + 2 * T**2))  # 0.41: of a Gaussian that one view sees, from the place of that view
 
 
@@ -30,23 +31,28 @@ class Determinacy:
     def __init__(self, gaussians: GaussianTensors, cameras: Iterable[CameraLike], backend: str = "auto") -> None:
         """gaussians: colours are not used. cameras: of the training views."""
         self.gaussians, self.backend = gaussians, backend
-        information = torch.eye(4, dtype=torch.float64, device=gaussians.means.device).repeat(
-            len(gaussians.means), 1, 1
-        )
+        means = gaussians.means
+        information = torch.eye(4, dtype=means.dtype, device=means.device).repeat(len(means), 1, 1)
         footprints = footprint_sums(gaussians, 1, backend)
         for camera in cameras:
-            pinhole = Pinhole.of(camera).to(gaussians.means)
-            counts = gaussians.means.new_ones(pinhole.height, pinhole.width, 1)
-            sums, _ = footprints(pinhole, counts)
-            x = self._terms(pinhole)
-            information += sums.clamp(max=1).double()[:, :, None] * x[:, :, None] * x[:, None, :]
-        self.covariance = torch.linalg.inv(information)
+            pinhole = Pinhole.of(camera).to(means)
+            sums, _ = footprints(pinhole, means.new_ones(pinhole.height, pinhole.width, 1))
+            for seen in sums[:, 0].nonzero().squeeze(1).split(AT_ONCE):
+                x = _terms(pinhole, means[seen])
+                weighted = sums[seen].clamp(max=1) * x
+                information[seen] += (weighted[:, :, None] * x[:, None, :]).to(information)
+        for some in information.split(AT_ONCE):
+            some.copy_(torch.linalg.inv(some.double()))
+        self.covariance = information
 
     @torch.no_grad()
     def of_gaussians(self, camera: Pinhole) -> Tensor:
         """Return the determinacy (N,) of each Gaussian as a camera sees it, in [0, 1]."""
-        x = self._terms(camera)
-        return torch.exp(-torch.einsum("ni,nij,nj->n", x, self.covariance, x)).to(self.gaussians.means)
+        leverages = []
+        for means, covariance in zip(self.gaussians.means.split(AT_ONCE), self.covariance.split(AT_ONCE), strict=True):
+            x = _terms(camera, means)
+            leverages.append(torch.einsum("ni,nij,nj->n", x, covariance.double(), x).to(means))
+        return torch.exp(-torch.cat(leverages))
 
     @torch.no_grad()
     def image(self, camera: CameraLike) -> Tensor:
@@ -55,8 +61,9 @@ class Determinacy:
         coloured = self.gaussians._replace(colors=self.of_gaussians(pinhole)[:, None], sh_degree=None)
         return render_view(coloured, pinhole, backend=self.backend).image[..., 0].cpu()
 
-    def _terms(self, camera: Pinhole) -> Tensor:
-        """Return x (N, 4) of the directions from a camera to the Gaussians."""
-        rays = self.gaussians.means.double() @ camera.viewmat[:3, :3].double().T + camera.viewmat[:3, 3].double()
-        directions = torch.nn.functional.normalize(rays, dim=1) @ camera.viewmat[:3, :3].double()
-        return T * torch.cat([torch.ones_like(directions[:, :1]), directions], dim=1)
+
+def _terms(camera: Pinhole, means: Tensor) -> Tensor:
+    """Return x (n, 4), in double precision, of the directions from a camera to some means (n, 3)."""
+    rays = means.double() @ camera.viewmat[:3, :3].double().T + camera.viewmat[:3, 3].double()
+    directions = torch.nn.functional.normalize(rays, dim=1) @ camera.viewmat[:3, :3].double()
+    return T * torch.cat([torch.ones_like(directions[:, :1]), directions], dim=1)

@@ -171,6 +171,10 @@ class TrainingState:
                 some[: self.count] = some.index_select(0, order)
         self._ordered_at = self.count
 
+    def forget_moments(self) -> None:
+        """Free the memory of both moments. All rows must be current; no step can follow."""
+        self._first, self._second, self._arrays = self._first[:0].clone(), self._second[:0].clone(), None
+
     def refresh_bounds(self) -> None:
         """Let culling know that rows were changed from outside. All rows must be current."""
         self._bounds[: self.count] = _bounds_of(self.values)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import glob
 import hashlib
-import mmap
 import os
 import time
 from contextlib import suppress
@@ -19,6 +18,7 @@ from tdgbench.training.part import State
 from tdgbench.training.trainer import Trainer
 
 MAX_SHARE = 0.02  # of the time that writing takes
+READ_BYTES = 2**20  # at once
 DIGEST_BYTES = 32  # SHA-256 of torch's file, written behind it
 
 
@@ -107,8 +107,11 @@ class Checkpoint:
 
 def _digest(path: Path, size: int) -> bytes:
     """Return the SHA-256 of the first bytes of a file."""
-    with path.open("rb") as file, mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ) as content:
-        return hashlib.sha256(content).digest()
+    digest = hashlib.sha256()
+    with path.open("rb") as file:  # a mapping would count as memory of the process
+        for start in range(0, size, READ_BYTES):
+            digest.update(file.read(min(READ_BYTES, size - start)))
+    return digest.digest()
 
 
 def _ends_with_digest(path: Path) -> bool:

@@ -12,6 +12,7 @@ from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.cpu.scratch import free_buffers
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.density import TrainingView
 from tdgbench.splats.gradients import Gradients, PendingGradients
@@ -206,6 +207,12 @@ class SplatModel(Part):
         if len(self) == 0:
             raise EmptyModelError(iteration, self.name)
         return bad
+
+    def end(self) -> None:
+        """Free the memory that only training needs, more than half of all. No step can follow."""
+        self.optimizer.flush()
+        self.state.forget_moments()
+        free_buffers()
 
     def _forget(self, views: list[TrainingView]) -> None:
         """Count the Gaussians with gradients, and free the memory of the views."""

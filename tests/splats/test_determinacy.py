@@ -6,6 +6,7 @@ import torch
 
 from tdgbench.scenes import Camera
 from tdgbench.scenes.synthetic.render import look_at
+from tdgbench.splats import determinacy
 from tdgbench.splats.determinacy import ONE_VIEW, Determinacy, T
 from tdgbench.splats.render import footprint_sums, render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
@@ -50,7 +51,9 @@ def by_hand(some: GaussianTensors, train: list[Camera], test: Camera) -> np.ndar
     return weights(some, test) @ np.array(values)
 
 
-def test_pixels_are_those_computed_by_hand_in_double_precision():
+@pytest.mark.parametrize("at_once", [4, determinacy.AT_ONCE])
+def test_pixels_are_those_computed_by_hand_in_double_precision(monkeypatch, at_once):
+    monkeypatch.setattr(determinacy, "AT_ONCE", at_once)
     some, train = gaussians(), [camera(0), camera(20, 0.3), camera(-35)]
     for test in (camera(10), camera(80), camera(180)):
         found = Determinacy(some, train, "reference").image(test).numpy()

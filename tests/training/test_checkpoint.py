@@ -2,11 +2,13 @@ import hashlib
 import io
 import os
 import random
+import resource
 from pathlib import Path
 
 import pytest
 import torch
 
+from tdgbench.training import checkpoint as checkpoint_module
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.trainer import Trainer
@@ -218,3 +220,13 @@ def test_training_after_a_load_that_failed_gives_the_same_bytes(small_gray_scene
         wanted.append(digest(trainer))
         change(tmp_path / "a.pt", "parts.views.generator", lambda state: torch.full_like(state, 255))
     assert wanted[0] == wanted[1]
+
+
+def test_the_digest_of_a_large_file_takes_no_memory(tmp_path):
+    """A file that is mapped counts as memory of the process, a gigabyte for millions of Gaussians."""
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(400_000_000)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert checkpoint_module._digest(tmp_path / "large", 3) == hashlib.sha256(bytes(3)).digest()
+    assert len(checkpoint_module._digest(tmp_path / "large", 400_000_000)) == checkpoint_module.DIGEST_BYTES
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # KB

@@ -105,6 +105,18 @@ def test_looking_does_not_count(small_scene):
     assert model.density.view_counts.sum() == 0 and model.optimizer.steps["means"] == 0
 
 
+def test_after_its_end_a_model_renders_alike_without_the_memory_of_moments(small_scene):
+    model, camera = one_pass(small_scene, 1, 30), small_scene.test[0].camera
+    before = model.render(camera, depth=True)
+    moments = [weakref.ref(model.state._first), weakref.ref(model.state._second)]
+    model.end()
+    after = model.render(camera, depth=True)
+    assert [moment() for moment in moments] == [None, None] and model.optimizer.steps["means"] > 0
+    for a, b in ((before.image, after.image), (before.depth, after.depth)):
+        assert torch.allclose(a, b, atol=1e-5)  # deferred steps are applied in another order
+    assert torch.equal(after.image, model.render(camera).image)
+
+
 RULES = (
     "sh_degree=2", "sh_every=40", "density.start=20", "density.every=25", "density.stop=240",
     "density.opacity_reset_every=110", "density.grad_threshold=5e-5", "iterations=1000",
