@@ -144,7 +144,6 @@ class DensityControl:
         self.grad_sum, self.view_counts, self.max_radii = self.state.values.new_zeros(3, len(self.state))
         self.absolute_sum = self.grad_sum.new_zeros(len(self.state) if self.rules.uses_absolute else 0)
 
-    @torch.no_grad()
     def observe_visible(self, view: Gradients | PendingGradients) -> None:
         """Count a view for its visible Gaussians, and update their largest radii."""
         if self._is_fast:
@@ -163,7 +162,6 @@ class DensityControl:
         self.view_counts += radii > 0
         self.max_radii.copy_(torch.maximum(self.max_radii, radii))
 
-    @torch.no_grad()
     def observe_gradients(self, gradients: Gradients, width: int, height: int) -> None:
         """Accumulate the gradients of a view of width × height px."""
         if self.rules.uses_absolute and gradients.image.shape[1] < 5:
@@ -232,7 +230,6 @@ class DensityControl:
         """Return whether `update` clones, splits and prunes at an iteration."""
         return self.is_active(iteration) and self.rules.is_round(iteration, self.iterations)
 
-    @torch.no_grad()
     def update(
         self, optimizer: Adam, iteration: int, generator: torch.Generator, decision: GrowthDecision | None = None
     ) -> DensityChange:

@@ -65,5 +65,6 @@ def render_state(
     backend: str = "auto",
 ) -> Render:
     """Render one view of a state in training; the backward pass calls collect(Gradients)."""
-    chosen = choose_backend(backend, state.values.device, state.values.dtype)
+    like = state.values
+    chosen = choose_backend(backend, like.device, like.dtype)
     return load_backend(chosen).render_state(state, optimizer, camera, options, collect)

@@ -113,11 +113,12 @@ def _checked_loss(step: Step, trainer: Trainer, iteration: int) -> float | Tenso
     if trainer.on_gpu:
         trainer.pending.read()
         return _check_later(step, trainer, iteration)
-    loss, terms = step.numbers()
+    loss = step.loss.item()
     if not math.isfinite(loss):
         _check_parameters(trainer.parts, iteration)
-        raise NonFiniteError(iteration, _first_bad(step, terms))
-    return terms.get("thermal", loss)
+        raise NonFiniteError(iteration, _first_bad(step, step.numbers()[1]))
+    watched = step.terms.get("thermal", loss)
+    return watched.item() if isinstance(watched, Tensor) else watched
 
 
 def _check_later(step: Step, trainer: Trainer, iteration: int) -> float | Tensor:

@@ -218,7 +218,7 @@ class _ValueAndGradient(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, grad):
-        return grad * ctx.gradient, None
+        return ctx.gradient if grad.item() == 1 else grad * ctx.gradient, None
 
 
 class _MinMax(torch.autograd.Function):
