@@ -67,6 +67,7 @@ def make_blend(colors: int, depth: bool):
     variant = f"{colors}_depth" if depth else f"{colors}"
     channels, colors = np.int64(colors + depth), np.int64(colors)  # not literals: one helper serves all variants
     size = (3 + channels) * LANES  # floats of a block: x, y, T, then the channels
+    depth = np.bool_(depth)
 
     @kernel(variant=variant)
     def blend(counter, splats, tiles, background, limits, tables, images, visits):
