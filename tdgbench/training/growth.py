@@ -126,8 +126,7 @@ class Footprints(NamedTuple):
     """Sums over the footprints of N Gaussians in one view of C channels, each pixel weighted as in the blend."""
 
     weight: Tensor  # (N,) px
-    residual: Tensor  # (N, C) signed, image values × px
-    difference: Tensor  # (N, C) the residual in one half of the footprint minus that in the other
+    difference: Tensor  # (N, C) the residual in one half minus that in the other, signed, image values × px
     visible: Tensor  # (N,) bool
 
 
@@ -143,10 +142,8 @@ def footprints(sum_halves: SumFootprints, camera: Pinhole, residual: Tensor, val
     sums, radii = sum_halves(camera, maps)
     n = len(sums) // 2
     first, second = sums[:n], sums[n:]
-    return Footprints(
-        first[:, 0] + second[:, 0], first[:, 1:] + second[:, 1:], first[:, 1:] - second[:, 1:],
-        (radii[:n] > 0) | (radii[n:] > 0),
-    )  # fmt: skip
+    visible = (radii[:n] > 0) | (radii[n:] > 0)
+    return Footprints(first[:, 0] + second[:, 0], first[:, 1:] - second[:, 1:], visible)
 
 
 def sums_of_halves(gaussians: Gaussians, backend: str) -> SumFootprints:

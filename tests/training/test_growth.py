@@ -169,7 +169,7 @@ def test_weights_are_those_of_the_blend(backend):
         colors[[index, index + 2]] = 1.0
         image = render_view(parts._replace(colors=colors), Pinhole.of(camera()), backend=backend).image
         assert seen.weight[index].item() == pytest.approx(image.sum().item(), rel=1e-4)
-    assert torch.allclose(seen.residual[:, 0], seen.weight) and seen.visible.all()
+    assert seen.visible.all()
 
 
 def test_the_difference_is_that_of_the_halves_along_the_longest_axis():
@@ -178,7 +178,6 @@ def test_the_difference_is_that_of_the_halves_along_the_longest_axis():
     across[16:] = -1.0
     by_columns, by_rows = (seen_in(long_and_short(), residual) for residual in (along, across))
     assert abs(by_columns.difference[0]) > 0.5 * by_columns.weight[0]
-    assert abs(by_columns.residual[0]) < 1e-3 * by_columns.weight[0]
     assert abs(by_rows.difference[0]) < 1e-3 * by_rows.weight[0]
 
 
@@ -200,7 +199,7 @@ def test_masked_pixels_count_nothing():
     seen = seen_in(long_and_short(), residual, valid)
     whole = seen_in(long_and_short(), torch.ones(32, 32, 1))
     assert seen.weight[0].item() == pytest.approx(whole.weight[0].item() / 2, rel=1e-3)
-    assert torch.allclose(seen.residual[:, 0], seen.weight)
+    assert 0.5 * seen.weight[0] < abs(seen.difference[0, 0]) <= seen.weight[0]
 
 
 def test_a_gaussian_out_of_sight_says_nothing():
