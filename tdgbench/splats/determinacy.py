@@ -21,7 +21,7 @@ from tdgbench.splats.render import footprint_sums, render_view
 from tdgbench.splats.view import CameraLike, GaussianTensors, Pinhole
 
 T = 2.0  # standard deviation of a colour's mean, and of its change over a radian, × that of a measurement
-AT_ONCE = 8192  # Gaussians: the double precision of all would take more memory than a training
+AT_ONCE = 8192  # Gaussians in double precision: all of them would take more memory than a training
 ONE_VIEW = math.exp(-2 * T**2 / (1 + 2 * T**2))  # 0.41: of a Gaussian that one view sees, from the place of that view
 
 
