@@ -66,7 +66,6 @@ class Relocation(DensityControl):
         on_image = values.new_zeros(len(state), 2).index_add_(0, index, image[:, :2])
         return Gradients.dense(values, on_image, computed.all_radii(len(state)))
 
-    @torch.no_grad()
     def update(
         self, optimizer: Adam, iteration: int, generator: torch.Generator, verdict: GrowthDecision | None = None
     ) -> DensityChange:
@@ -91,7 +90,6 @@ class Relocation(DensityControl):
         self._clear()
         return change
 
-    @torch.no_grad()
     def after_step(self, optimizer: Adam, iteration: int, generator: torch.Generator) -> None:
         """Move means at random, those of transparent Gaussians by more."""
         optimizer.flush()

@@ -71,7 +71,6 @@ class MultimodalControl(DensityControl):
     def observe_visible(self, view: Gradients | PendingGradients) -> None:
         """`observe` counts the two renders of a view as one."""
 
-    @torch.no_grad()
     def observe(self, views: Sequence[TrainingView]) -> None:
         """Accumulate the gradients of the renders `rgb` and `thermal`: their vectors, and the length of their sum."""
         by_label = {view.label: view for view in views}

@@ -97,7 +97,7 @@ def curves_as_svg(cells: list[Cell], problems: list[str]) -> str:
     """Return loss, PSNR and number of Gaussians along each cell's training, as SVG; unreadable logs are n/a."""
     figure = Figure(figsize=(10, 2.6))
     panels = figure.subplots(1, len(CURVES))
-    figure.subplots_adjust(left=0.05, right=0.99, bottom=0.17, top=0.9, wspace=0.3)
+    figure.subplots_adjust(left=0.07, right=0.99, bottom=0.17, top=0.9, wspace=0.3)
     for cell in cells:
         if cell.record.made_elsewhere is not None:
             continue

@@ -17,7 +17,7 @@ from tdgbench.report.figures import plain, save_figure
 from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view
 
 MOST_BESIDE = 4  # methods whose errors are beside their renders
-TITLE: dict[str, Any] = {"fontsize": 8, "y": 1.0}  # a height of its own spares matplotlib the search for one
+TITLE: dict[str, Any] = {"fontsize": 8, "y": 1.0}  # with a fixed height, matplotlib searches for none
 
 
 def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:

@@ -28,6 +28,7 @@ ONE_VIEW = math.exp(-2 * T**2 / (1 + 2 * T**2))  # 0.41: of a Gaussian that one 
 class Determinacy:
     """The determinacy of renders of some Gaussians, whose footprints in all training views the constructor finds."""
 
+    @torch.no_grad()
     def __init__(self, gaussians: GaussianTensors, cameras: Iterable[CameraLike], backend: str = "auto") -> None:
         """gaussians: colours are not used. cameras: of the training views."""
         self.gaussians, self.backend = gaussians, backend
@@ -40,7 +41,7 @@ class Determinacy:
             for seen in sums[:, 0].nonzero().squeeze(1).split(AT_ONCE):
                 x = _terms(pinhole, means[seen])
                 weighted = sums[seen].clamp(max=1) * x
-                information[seen] += (weighted[:, :, None] * x[:, None, :]).to(information)
+                information.index_add_(0, seen, (weighted[:, :, None] * x[:, None, :]).to(information))
         for some in information.split(AT_ONCE):
             some.copy_(torch.linalg.inv(some.double()))
         self.covariance = information

@@ -172,7 +172,7 @@ class TrainingState:
         self._ordered_at = self.count
 
     def forget_moments(self) -> None:
-        """Free the memory of both moments. All rows must be current; no step can follow."""
+        """Free the memory of both moments. All rows must be current; no step and no `state_dict` can follow."""
         self._first, self._second, self._arrays = self._first[:0].clone(), self._second[:0].clone(), None
 
     def refresh_bounds(self) -> None:

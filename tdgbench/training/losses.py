@@ -218,6 +218,7 @@ class _ValueAndGradient(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx, grad):
+        # as it is, if nothing scales it: autograd does not write into what ctx holds, too
         return ctx.gradient if grad.item() == 1 else grad * ctx.gradient, None
 
 

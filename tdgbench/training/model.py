@@ -209,7 +209,7 @@ class SplatModel(Part):
         return bad
 
     def end(self) -> None:
-        """Free the memory that only training needs, more than half of all. No step can follow."""
+        """Free Adam's moments, more than half of the memory. The model can be rendered, but takes no further step."""
         self.optimizer.flush()
         self.state.forget_moments()
         free_buffers()

@@ -7,10 +7,12 @@ from PIL import Image
 from rich.console import Console
 
 from methods.gaussian_splatting import GaussianSplatting
+from tdgbench.bench import cell_phases
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
+from tdgbench.bench.renders import render_views
 from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.stored import hashes_of_content
 from tdgbench.scenes import view_images
@@ -55,6 +57,17 @@ def test_a_cell_writes_all_its_files(run, method):
     assert (folder / "model_rgb.ply").exists() == (method == "msmg")
     assert "gaussians" in (folder / "log.csv").read_text().splitlines()[0]
     assert not [p for p in folder.parent.iterdir() if p.name.startswith(".")]
+
+
+def test_a_cell_renders_without_the_memory_of_its_training(run, monkeypatch):
+    moments = []
+
+    def render(trainer, *arguments):
+        moments.extend(len(model.state.first) for model in trainer.gaussians.values())
+        return render_views(trainer, *arguments)
+
+    monkeypatch.setattr(cell_phases, "render_views", render)
+    assert run("method=msmg", "scene=turntable").status == "ok" and moments == [0, 0]
 
 
 def test_the_data_folder_is_only_read(run, data_root):

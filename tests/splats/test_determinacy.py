@@ -61,6 +61,13 @@ def test_pixels_are_those_computed_by_hand_in_double_precision(monkeypatch, at_o
     assert Determinacy(some, train, "reference").image(camera(10)).max() > 0.3
 
 
+def test_single_precision_bears_many_views_of_nearly_the_same_place():
+    exact, train = gaussians(40), [camera(angle / 10) for angle in range(200)]
+    rounded = GaussianTensors(*(tensor.float() for tensor in exact[:5]))
+    found = [Determinacy(some, train, "reference").image(camera(45)).double() for some in (exact, rounded)]
+    assert torch.allclose(*found, atol=1e-3) and 0.1 < float(found[0].max()) < 0.9
+
+
 def test_the_fast_backend_gives_the_same():
     some = GaussianTensors(*(tensor.float() for tensor in gaussians(40, 2.0)[:5]))
     train = [camera(angle) for angle in (0, 15, 30, 45)]

@@ -122,7 +122,7 @@ class KernelCache(FunctionCache):
     def _acquire(self) -> None:
         """Wait for a process that compiles the kernel. The lock is made anew: none survives a fork."""
         path = Path(self.cache_path) / f"{self._impl.filename_base}.lock"
-        lock = FileLock(path, timeout=WAIT_SECONDS, thread_local=False)
+        lock = FileLock(path, timeout=WAIT_SECONDS)
         with suppress(OSError, Timeout):
             lock.acquire()
             self._lock = lock

@@ -65,9 +65,9 @@ def blend_tiles(settings: Settings, splats: Splats, tiles: TileLists, active_blo
 def make_blend(colors: int, depth: bool):
     """Return the forward kernel for `colors` channels, and depth as one more; 1 to 4 in all."""
     variant = f"{colors}_depth" if depth else f"{colors}"
-    channels, colors = np.int64(colors + depth), np.int64(colors)  # not literals: one helper serves all variants
+    # not literals: one helper serves all variants
+    channels, colors, depth = np.int64(colors + depth), np.int64(colors), np.bool_(depth)
     size = (3 + channels) * LANES  # floats of a block: x, y, T, then the channels
-    depth = np.bool_(depth)
 
     @kernel(variant=variant)
     def blend(counter, splats, tiles, background, limits, tables, images, visits):

@@ -124,7 +124,7 @@ def project_and_list(first, count, candidates, parameters, stale, settings, spla
     gathered, group, basis = aligned_floats(GATHERED * LANES), aligned_floats(GROUP * LANES), aligned_floats(16 * LANES)
     rows, boxes = aligned_floats(FLOATS * LANES), np.zeros(4 * LANES, np.int32)
     has_nan = broadcast(ZERO)
-    n_splats, n_projected, n_pairs = first, first, int64(0)  # of one type: a literal compiles what takes it once more
+    n_splats, n_projected, n_pairs = first, first, int64(0)  # for a literal, helpers would be compiled once more
     # a reference in the loop costs an atomic operation
     tiles, tile_counts = pair_tiles.tiles, pair_tiles.counts
     flat_splats, pairs = splats.values.reshape(-1), splats.pairs
