@@ -42,7 +42,7 @@ class Gradients:
         """Number of rows: Gaussians with a gradient."""
         return sum(count for _, count in self.spans)
 
-    def compute(self) -> Gradients:
+    def compute(self, image_only: bool = False) -> Gradients:
         """Return these gradients, as `PendingGradients.compute` does."""
         return self
 
@@ -122,9 +122,9 @@ class PendingGradients:
         self.pairs, self.blended = len(done.tiles.splat_ids), int(done.visits.counts.sum())
         self.touched = 0
 
-    def compute(self) -> Gradients:
-        """Compute the gradients as rows."""
-        rows = self._blended.rows()
+    def compute(self, image_only: bool = False) -> Gradients:
+        """Compute the gradients as rows. image_only: without those of parameters, so that `values` has no columns."""
+        rows = self._blended.rows(image_only)
         index, values, image = map(torch.from_numpy, rows.arrays)
         lease = (rows.workspace, self._blended.done.workspace)
         return Gradients(

@@ -184,9 +184,8 @@ class SplatModel(Part):
         views, self._views = self._views, []
         gradients, statistics = self._gradients_of(views, iteration)
         decision = None
-        if self.density.is_round(iteration):  # no step follows, and the round needs the gradients' memory
-            gradients = None
-            self._forget(views)
+        if self.density.is_round(iteration):
+            self._forget(views)  # the round needs their memory
             if self.growth_test is not None:
                 number = iteration // self.density.rules.every
                 decision = self.growth_test.decide(self.gaussians, self.degree, number)
@@ -231,10 +230,11 @@ class SplatModel(Part):
         if len(views) == 1 and isinstance(views[0].gradients, PendingGradients) and not self.density.is_due(iteration):
             (view,) = views
             return view.gradients, self.density.statistics(view.width, view.height) if observes else NO_STATISTICS
+        is_round = self.density.is_round(iteration)
         for view in views:
-            view.gradients = view.gradients.compute()
+            view.gradients = view.gradients.compute(image_only=is_round)
         if observes:
             self.density.observe(views)
-        if not views:
+        if not views or is_round:  # no step follows
             return None, NO_STATISTICS
         return Gradients.total([view.gradients.compute() for view in views], len(self.state)), NO_STATISTICS

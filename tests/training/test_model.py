@@ -86,16 +86,23 @@ def test_density_control_sees_the_training_view(small_scene):
 
 
 def test_a_round_has_the_memory_of_the_gradients(small_scene, monkeypatch):
-    model, there = make(small_scene), []
+    model, there, columns = make(small_scene), [], []
     model.begin(1)
     model.render(small_scene.train[0].camera).image.sum().backward()
     (view,) = model._views
-    alive, update = weakref.ref(view.gradients), model.density.update
+    alive, update, observe = weakref.ref(view.gradients), model.density.update, model.density.observe
     del view
+
+    def observed(views):
+        columns.extend(view.gradients.columns for view in views)
+        observe(views)
+
     monkeypatch.setattr(model.density, "update", lambda *args: there.append(alive()) or update(*args))
+    monkeypatch.setattr(model.density, "observe", observed)
     before = len(model)
     model.step(iteration=1)
     assert there == [None] and len(model) != before and model.work.touched > 0
+    assert columns == [0]  # no step follows, so that gradients of parameters are not computed
 
 
 def test_looking_does_not_count(small_scene):

@@ -63,13 +63,13 @@ class Blended:
         colors, degree = self.settings.channels[:2]
         return padded(COLORS_AT + colors * max((degree + 1) ** 2, 1))
 
-    def rows(self) -> GradientRows:
-        """Return gradients of the Gaussians that some pixel depends on."""
+    def rows(self, image_only: bool = False) -> GradientRows:
+        """Return gradients of the Gaussians that some pixel depends on. image_only: with no column of parameters."""
         workspace = Workspace()
         capacity = -(-len(self.done.splats.values) // LANES) * LANES
         rows = GradientArrays(
             workspace.take("ids of gradients", capacity, np.int32),
-            workspace.take("gradients", (capacity, self.columns), np.float32),
+            workspace.take("gradients", (capacity, 0 if image_only else self.columns), np.float32),
             workspace.take("image gradients", (capacity, 5 if self.settings.channels.absgrad else 3), np.float32),
         )
         return GradientRows(self._run(rows, [NO_FUSED_STEP] * len(self.done.splat_spans)), rows, workspace)
