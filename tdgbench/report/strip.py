@@ -31,7 +31,10 @@ def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
     rows, columns = len(scenes) * (1 + below), 1 + len(methods) * (2 - below)
     figure = Figure(figsize=(2.4 * columns, 1.95 * rows))
     axes = figure.subplots(rows, columns, squeeze=False)
-    figure.subplots_adjust(0.03 / columns, 0.03 / rows, 1 - 0.03 / columns, 1 - 0.13 / rows, wspace=0.06, hspace=0.15)
+    margin_x, margin_y, title = 0.03 / columns, 0.03 / rows, 0.1 / rows  # shares of the figure
+    figure.subplots_adjust(
+        left=margin_x, right=1 - margin_x, bottom=margin_y, top=1 - margin_y - title, wspace=0.06, hspace=0.15
+    )
     for axis in axes.flat:
         axis.set_axis_off()
     for place, row, errors in zip(scenes, axes[:: 1 + below], axes[below :: 1 + below], strict=True):
