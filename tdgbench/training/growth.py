@@ -3,9 +3,12 @@
 Splitting or cloning a Gaussian lets its two halves have different values. That would explain the difference of the
 residuals r in its halves (`Footprints`), summed over views with its sign: D = Σ_views Σ_pixels ±w r, with blending
 weights w. Noise of standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), as w ≤ 1.
-A Gaussian grows if the root mean square of D over the channels exceeds `z` times that. Errors of single views have
-different signs and cancel in D. σ is the noise of full-size images; downscaled ones have less, so that their test is
-stricter. The variance of D between views is no help: a model that lacks Gaussians has as much of it as noise has.
+A Gaussian may grow if the root mean square of D over the channels exceeds `z` times that, its strength. Errors of single
+views have different signs and cancel in D. σ is the noise of full-size images; downscaled ones have less, so that their
+test is stricter. The variance of D between views is no help: a model that lacks Gaussians has as much of it as noise has.
+
+Where the images have little noise, nearly all Gaussians pass. D² / Σ w is by how much two values in the place of one
+lower the squared error. So those grow, the strongest first, that together promise `share` of what all that pass promise.
 """
 
 from __future__ import annotations
@@ -78,12 +81,14 @@ class GrowthTest:
             weight += seen.weight
             difference += seen.difference
         is_known = (views >= FEWEST_VIEWS) & (weight > 0)
-        strength = difference.square().mean(dim=1).sqrt() / (self.noise * weight.sqrt())
-        strength = torch.where(is_known, strength, 0.0)
+        gain = torch.where(is_known, difference.square().mean(dim=1) / weight, 0.0)
+        strength = gain.sqrt() / self.noise
+        grow = strength > self.rule.z
+        grow &= makes_up(self.rule.share, torch.where(grow, gain, 0.0))
         is_faint = self.curriculum.scale**2 * weight < self.rule.min_weight * views
         rounds = math.ceil(len(self._views) / self.rule.views)
         is_faint &= views >= FEWEST_VIEWS
-        return GrowthDecision(strength, strength > self.rule.z, is_faint, rounds, self.at_cameras(gaussians))
+        return GrowthDecision(strength, grow, is_faint, rounds, self.at_cameras(gaussians))
 
     def at_cameras(self, gaussians: Gaussians) -> Tensor:
         """Return which Gaussians (N,) have a training camera, held out or not, within `clearance` of their centre.
@@ -120,6 +125,19 @@ class GrowthTest:
         image = render_view(active, camera, background=self.background, backend=self.backend).image
         target, valid = self.modality.tensors_of(view, image.device)
         return footprints(sum_halves, camera, target - image, valid)
+
+
+def makes_up(share: float, gains: Tensor) -> Tensor:
+    """Return which gains (N,), all at least 0, are the largest that together make up a share of their sum.
+
+    >>> makes_up(0.8, torch.tensor([1.0, 5.0, 0.0, 3.0, 1.0])).tolist()
+    [False, True, False, True, False]
+    """
+    ordered, order = gains.double().sort(descending=True, stable=True)
+    of_larger = ordered.cumsum(0) - ordered
+    chosen = torch.empty_like(order, dtype=torch.bool)
+    chosen[order] = of_larger < share * ordered.sum()
+    return chosen
 
 
 class Footprints(NamedTuple):

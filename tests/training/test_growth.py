@@ -15,7 +15,7 @@ from tdgbench.training.growth import GrowthTest, footprints, split_in_halves, su
 from tdgbench.training.images import RGB, THERMAL
 from tests.helpers.footprints import drift, edge, two, view_of, views
 
-RULE = GrowthRule(views=10, z=5.0, min_weight=0.0, clearance=3.0)
+RULE = GrowthRule(views=10, z=5.0, share=1.0, min_weight=0.0, clearance=3.0)
 
 
 def judge(views, gaussians=None, rule=RULE, modality=THERMAL, curriculum=None):
@@ -50,6 +50,15 @@ def test_what_differs_between_views_cancels():
     offsets = judge(views(drift, noise=0.05, count=10)).strength  # five views of each kind, all of them looked at
     assert (offsets < judge(views(edge, noise=0.05, count=10)).strength[0] / 5).all()
     assert not (offsets > RULE.z).any()
+
+
+def test_of_what_noise_does_not_explain_the_strongest_that_make_up_a_share_grow():
+    both = views(lambda x, y, number: edge(x, y, number) + 0.3 * edge(x - 0.8, y, number))
+    assert judge(both).grow.tolist() == [True, True]
+    strength = judge(both).strength
+    leading = float(strength[0] ** 2 / strength.square().sum())
+    for share, grown in ((leading - 0.05, [True, False]), (leading + 0.05, [True, True])):
+        assert judge(both, rule=dataclasses.replace(RULE, share=share)).grow.tolist() == grown
 
 
 def test_noise_does_not_grow():
