@@ -3,12 +3,13 @@
 Splitting or cloning a Gaussian lets its two halves have different values. That would explain the difference of the
 residuals r in its halves (`Footprints`), summed over views with its sign: D = Σ_views Σ_pixels ±w r, with blending
 weights w. Noise of standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), as w ≤ 1.
-A Gaussian may grow if the root mean square of D over the channels exceeds `z` times that, its strength. Errors of single
-views have different signs and cancel in D. σ is the noise of full-size images; downscaled ones have less, so that their
-test is stricter. The variance of D between views is no help: a model that lacks Gaussians has as much of it as noise has.
+A Gaussian may grow if its strength, the root mean square of D over the channels in units of that, exceeds `z`. Errors of
+single views have different signs and cancel in D. σ is the noise of full-size images; downscaled ones have less, so that
+their test is stricter. The variance of D between views is no help: a model that lacks Gaussians has as much of it as
+noise has.
 
-Where the images have little noise, nearly all Gaussians pass. D² / Σ w is by how much two values in the place of one
-lower the squared error. So those grow, the strongest first, that together promise `share` of what all that pass promise.
+Where images have little noise, nearly all Gaussians pass. D² / Σ w is by how much two values in the place of one lower
+the squared error. So those grow, the strongest first, that together make up `share` of what all that pass would gain.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import SumFootprints
 from tdgbench.splats.backends.reference import rotation_matrices
-from tdgbench.splats.density import GrowthDecision
+from tdgbench.splats.density import GrowthDecision, strongest
 from tdgbench.splats.render import footprint_sums, render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.budget import GrowthRule
@@ -84,7 +85,7 @@ class GrowthTest:
         gain = torch.where(is_known, difference.square().mean(dim=1) / weight, 0.0)
         strength = gain.sqrt() / self.noise
         grow = strength > self.rule.z
-        grow &= makes_up(self.rule.share, torch.where(grow, gain, 0.0))
+        grow = strongest(grow, gain, fewest(gain[grow], self.rule.share))
         is_faint = self.curriculum.scale**2 * weight < self.rule.min_weight * views
         rounds = math.ceil(len(self._views) / self.rule.views)
         is_faint &= views >= FEWEST_VIEWS
@@ -127,17 +128,14 @@ class GrowthTest:
         return footprints(sum_halves, camera, target - image, valid)
 
 
-def makes_up(share: float, gains: Tensor) -> Tensor:
-    """Return which gains (N,), all at least 0, are the largest that together make up a share of their sum.
+def fewest(gains: Tensor, share: float) -> int:
+    """Return how many of the largest of some gains (N,) make up a share of their sum.
 
-    >>> makes_up(0.8, torch.tensor([1.0, 5.0, 0.0, 3.0, 1.0])).tolist()
-    [False, True, False, True, False]
+    >>> fewest(torch.tensor([1.0, 5.0, 3.0, 1.0]), 0.8)
+    2
     """
-    ordered, order = gains.double().sort(descending=True, stable=True)
-    of_larger = ordered.cumsum(0) - ordered
-    chosen = torch.empty_like(order, dtype=torch.bool)
-    chosen[order] = of_larger < share * ordered.sum()
-    return chosen
+    made_up = gains.double().sort(descending=True).values.cumsum(0)
+    return int((made_up < share * made_up[-1:]).sum()) + bool(len(gains))
 
 
 class Footprints(NamedTuple):

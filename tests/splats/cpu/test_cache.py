@@ -20,6 +20,12 @@ from tdgbench.splats.cpu import cache
 from tests.helpers.paths import ROOT
 
 
+@pytest.fixture(autouse=True)
+def _numba_says_what_it_does(monkeypatch):
+    """A test that fails shows which files of the cache were read and written."""
+    monkeypatch.setattr(numba.config, "DEBUG_CACHE", True)
+
+
 def modules_imported_by(path: Path) -> set[Path]:
     """Files of this project that a file imports, at any level."""
     found = set()
