@@ -3,10 +3,10 @@
 Splitting or cloning a Gaussian lets its two halves have different values. That would explain the difference of the
 residuals r in its halves (`Footprints`), summed over views with its sign: D = Σ_views Σ_pixels ±w r, with blending
 weights w. Noise of standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), as w ≤ 1.
-A Gaussian may grow if its strength, the root mean square of D over the channels in units of that, exceeds `z`. Errors of
-single views have different signs and cancel in D. σ is the noise of full-size images; downscaled ones have less, so that
-their test is stricter. The variance of D between views is no help: a model that lacks Gaussians has as much of it as
-noise has.
+A Gaussian may grow if its strength, the root mean square of D over the channels in units of that, exceeds `z`. Errors
+of single views have different signs and cancel in D. σ is the noise of full-size images; downscaled ones have less, so
+that their test is stricter. The variance of D between views is no help: a model that lacks Gaussians has as much of it
+as noise has.
 
 Where images have little noise, nearly all Gaussians pass. D² / Σ w is by how much two values in the place of one lower
 the squared error. So those grow, the strongest first, that together make up `share` of what all that pass would gain.
