@@ -131,9 +131,12 @@ class GrowthTest:
 def fewest(gains: Tensor, share: float) -> int:
     """Return how many of the largest of some gains (N,) make up a share of their sum.
 
-    >>> fewest(torch.tensor([1.0, 5.0, 3.0, 1.0]), 0.8)
-    2
+    >>> gains = torch.tensor([1.0, 5.0, 3.0, 1.0])
+    >>> fewest(gains, 0.8), fewest(gains, 1.0)
+    (2, 4)
     """
+    if share == 1:  # however small some are beside the others
+        return len(gains)
     made_up = gains.double().sort(descending=True).values.cumsum(0)
     return int((made_up < share * made_up[-1:]).sum()) + bool(len(gains))
 

@@ -53,12 +53,15 @@ def test_what_differs_between_views_cancels():
 
 
 def test_of_what_noise_does_not_explain_the_strongest_that_make_up_a_share_grow():
-    both = views(lambda x, y, number: edge(x, y, number) + 0.3 * edge(x - 0.8, y, number))
-    assert judge(both).grow.tolist() == [True, True]
-    strength = judge(both).strength
-    leading = float(strength[0] ** 2 / strength.square().sum())
-    for share, grown in ((leading - 0.05, [True, False]), (leading + 0.05, [True, True])):
-        assert judge(both, rule=dataclasses.replace(RULE, share=share)).grow.tolist() == grown
+    first = views(lambda x, y, number: edge(x, y, number) + 0.5 * edge(-x, y, number))
+    second = views(lambda x, y, number: 0.5 * edge(x, y, number) + edge(-x, y, number))
+    assert judge(first).grow.tolist() == [True, True]  # the stronger one makes up 0.8 of the sum
+    for given, share, grown in (
+        (first, 0.75, [True, False]),
+        (first, 0.85, [True, True]),
+        (second, 0.7, [False, True]),
+    ):
+        assert judge(given, rule=dataclasses.replace(RULE, share=share)).grow.tolist() == grown
 
 
 def test_noise_does_not_grow():

@@ -22,7 +22,7 @@ from tests.helpers.paths import ROOT
 
 @pytest.fixture(autouse=True)
 def _numba_says_what_it_does(monkeypatch):
-    """A test that fails shows which files of the cache were read and written."""
+    """Print which files of the cache this process reads and writes; pytest shows that of a test that fails."""
     monkeypatch.setattr(numba.config, "DEBUG_CACHE", True)
 
 
