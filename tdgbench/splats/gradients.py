@@ -117,10 +117,19 @@ class PendingGradients:
         done = blended.done
         self._blended = blended
         self.projected_spans = done.projected_spans
-        self.projected, self.radii = map(torch.from_numpy, (done.projected.gaussian_ids, done.projected.radii))
         self.columns = blended.columns
         self.pairs, self.blended = len(done.tiles.splat_ids), int(done.visits.counts.sum())
         self.touched = 0
+
+    @property
+    def projected(self) -> Tensor:
+        """See `Gradients.projected`."""
+        return torch.from_numpy(self._blended.done.projected.gaussian_ids)
+
+    @property
+    def radii(self) -> Tensor:
+        """See `Gradients.radii`."""
+        return torch.from_numpy(self._blended.done.projected.radii)
 
     def compute(self, image_only: bool = False) -> Gradients:
         """Compute the gradients as rows. image_only: without those of parameters, so that `values` has no columns."""

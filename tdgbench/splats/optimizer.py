@@ -96,15 +96,14 @@ class Adam:
         names = [name for name, _ in state.split(state.values[:0]).items()]
         if not {*names[len(Gaussians.names()) :]} <= {*self.learning_rates} <= {*names}:
             raise ValueError(f"there are rates for {[*self.learning_rates]}; the fields are {', '.join(names)}")
-        self.steps = dict.fromkeys(names, 0)  # as torch counts them: opacity misses those of its resets
         self.is_sparse = state.values.device.type == "cpu" and state.values.dtype == torch.float32
         self._flushed = 0  # step of the last flush
         self._used = 0  # columns that ever had a gradient
         width = state.values.shape[1]
         self._places = {name: state.columns_of(name) for name in names}
-        self._constant_rates = np.zeros(width)
+        self._steps, self._rates = np.zeros((2, width))  # of each column; steps as torch counts them, see `steps`
         for name, columns in self._places.items():
-            self._constant_rates[columns] = self._rate_of(name, 0)
+            self._rates[columns] = self._rate_of(name, 0)
         self._of_means = [at for name, at in self._places.items() if self.learning_rates.get(name, name) == "means"]
         self._update_columns = empty_aligned((2, width), np.float32)
         self._coefficients = torch.zeros(FLUSH_EVERY, width).numpy()  # by step: rate √(1 − β2^t) / (1 − β1^t)
@@ -112,6 +111,11 @@ class Adam:
         exponents = np.arange(FLUSH_EVERY + 2, dtype=np.float64)
         self._decay = Decay(*((beta**exponents).astype(np.float32) for beta in (BETA1, BETA2)))
         self._rho_powers = (RHO**exponents).astype(np.float32)
+
+    @property
+    def steps(self) -> dict[str, int]:
+        """Steps of each parameter so far: opacity misses those of its resets."""
+        return {name: int(self._steps[columns.start]) for name, columns in self._places.items()}
 
     def step(
         self,
@@ -126,11 +130,11 @@ class Adam:
         whose gradient is not finite, or None; of Gaussians on a GPU, what waits for the step and returns this.
         """
         state = self.state
+        self._steps += 1
         for name in without:
             gradients = gradients.compute()
             gradients.values[:, state.columns_of(name)] = 0
-        for name in self.steps:
-            self.steps[name] += name not in without
+            self._steps[self._places[name]] -= 1
         rates, bias1, bias2 = self._columns(iteration)
         state.now += 1
         if not self.is_sparse:
@@ -152,7 +156,7 @@ class Adam:
 
     def _first_marked(self, bad: np.ndarray) -> str | None:
         """Return the name of the first parameter with a nonzero column in `bad` (…, columns)."""
-        return next((name for name in self.steps if bad[..., self.state.columns_of(name)].any()), None)
+        return next((name for name in self._places if bad[..., self.state.columns_of(name)].any()), None)
 
     def position_rate(self, iteration: int) -> float:
         """Return the learning rate of the means at an iteration, world units."""
@@ -197,7 +201,7 @@ class Adam:
     def state_dict(self) -> dict[str, Any]:
         """Return the state besides the rows, as `torch.save` takes it."""
         return {
-            "steps": dict(self.steps),
+            "steps": self.steps,
             "flushed": self._flushed,
             "used": self._used,
             "coefficients": torch.from_numpy(self._coefficients),
@@ -206,7 +210,8 @@ class Adam:
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
-        self.steps = dict(saved["steps"])
+        for name, columns in self._places.items():
+            self._steps[columns] = saved["steps"][name]
         self._flushed, self._used = saved["flushed"], saved["used"]
         self._coefficients[:] = saved["coefficients"].numpy()
         self._displacements[:] = saved["displacements"].numpy()
@@ -224,12 +229,10 @@ class Adam:
 
     def _columns(self, iteration: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return learning rate, 1 − β1^t and 1 − β2^t of each column: float64 (columns,)."""
-        rates, steps = self._constant_rates.copy(), np.ones(len(self._constant_rates))
         for columns in self._of_means:
-            rates[columns] = self.rates.means(iteration) * self.extent
-        for name, columns in self._places.items():
-            steps[columns] = max(self.steps[name], 1)
-        return self.slowdown * rates, 1 - BETA1**steps, 1 - BETA2**steps
+            self._rates[columns] = self.rates.means(iteration) * self.extent
+        steps = np.maximum(self._steps, 1)
+        return self.slowdown * self._rates, 1 - BETA1**steps, 1 - BETA2**steps
 
     def _rate_of(self, name: str, iteration: int) -> np.ndarray | float:
         """Return the learning rate of a field, or those of its columns. Only that of the means changes."""

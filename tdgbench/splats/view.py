@@ -56,9 +56,7 @@ class Pinhole(NamedTuple):
     @classmethod
     def of(cls, camera: CameraLike) -> Pinhole:
         """Return the camera of a scene's view, in the precision of its arrays."""
-        return cls(
-            torch.as_tensor(camera.world_to_camera), torch.as_tensor(camera.K), camera.width, camera.height
-        )  # fmt: skip
+        return cls(torch.from_numpy(camera.world_to_camera), torch.from_numpy(camera.K), camera.width, camera.height)
 
     def to(self, like: Tensor) -> Pinhole:
         """Return the same camera with tensors of the type and device of `like`."""

@@ -214,7 +214,7 @@ class _ValueAndGradient(torch.autograd.Function):
     def forward(ctx, image: Tensor, compute: Callable[[np.ndarray], tuple[float, np.ndarray]]) -> Tensor:
         value, gradient = compute(_array(image))
         ctx.gradient = torch.from_numpy(gradient)
-        return torch.tensor(value, dtype=torch.float32)
+        return torch.scalar_tensor(value, dtype=torch.float32)
 
     @staticmethod
     def backward(ctx, grad):

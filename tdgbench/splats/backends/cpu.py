@@ -24,6 +24,7 @@ from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, R
 MAX_CHANNELS = 4
 MAX_SIDE = 32_767  # px
 EVERYWHERE = Tolerance(mean=1e30, log_scale=0.0)  # culls nothing
+_TRIGGER = torch.zeros((), requires_grad=True)  # has torch call the backward pass of `_RenderRows`; it gets no gradient
 
 
 def _arrays(tensors) -> list[np.ndarray | None]:
@@ -155,8 +156,7 @@ class CpuBackend(Backend):
         def deliver(blended: Blended) -> None:
             collect(PendingGradients(blended))
 
-        trigger = torch.zeros((), requires_grad=torch.is_grad_enabled())
-        image, depth, transmittance = _RenderRows.apply(trigger, source, settings, deliver)
+        image, depth, transmittance = _RenderRows.apply(_TRIGGER, source, settings, deliver)
         return Render(image, depth if options.depth else None, transmittance)
 
 
@@ -185,7 +185,7 @@ def _settings(camera: Pinhole, channels: int, degree: int, options: RenderOption
     background = options.background
     black = np.zeros(channels, np.float32)
     return Settings(
-        camera=pack_camera(camera.viewmat.detach(), camera.K.detach(), *camera[2:]),
+        camera=pack_camera(camera.viewmat.detach().numpy(), camera.K.detach().numpy(), *camera[2:]),
         width=camera.width,
         height=camera.height,
         channels=Channels(channels, degree, options.depth, options.absgrad),

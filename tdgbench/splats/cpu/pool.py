@@ -9,6 +9,7 @@ handed over through `SimpleQueue`, whose operations happen whole or not at all, 
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
@@ -25,8 +26,9 @@ _calls: SimpleQueue[_Call] = SimpleQueue()  # those that no worker has taken
 _workers = 0
 
 
+@functools.cache
 def available_cores() -> int:
-    """Return the number of cores that this process may run on, by its affinity where the platform reports it."""
+    """Return on how many cores this process may run, by its affinity when it first asks, where that is known."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
