@@ -44,7 +44,7 @@ class LearningRates:
     opacity_logits: NonNegativeFloat
     log_scales: NonNegativeFloat
     quats: NonNegativeFloat
-    sh_rest_decay: NonNegativeFloat = 0.0  # AdamW's weight decay of harmonics above degree 0
+    sh_rest_decay: NonNegativeFloat = 0.0  # weight decay (AdamW) of `sh_rest`: a step scales it by 1 − rate × decay
 
     def means(self, iteration: int) -> float:
         """Return the rate of the means at an iteration (1-based): log-linear until `means_steps`, then constant.
@@ -74,7 +74,7 @@ class Tolerance(NamedTuple):
 
 
 class Adam:
-    """torch.optim.Adam's update for one set of Gaussians, and AdamW's weight decay where a gradient is not 0.
+    """torch.optim.Adam's update for one set of Gaussians.
 
     On the CPU in float32 the steps of rows without gradient are deferred (see `tdgbench.splats.cpu.adam`): call `flush`
     before reading `state.values`. Elsewhere every step moves every row.
@@ -102,13 +102,11 @@ class Adam:
         self._used = 0  # columns that ever had a gradient
         width = state.values.shape[1]
         self._places = {name: state.columns_of(name) for name in names}
-        self._steps, self._rates, self._weight_decays = np.zeros(
-            (3, width)
-        )  # of each column; steps as `steps` counts them
+        self._steps, self._rates, self._decays = np.zeros((3, width))  # of each column; steps as `steps` counts them
         for name, columns in self._places.items():
             self._rates[columns] = self._rate_of(name, 0)
             if self.learning_rates.get(name, name) == "sh":
-                self._weight_decays[columns.start + state.channels_of(name) : columns.stop] = rates.sh_rest_decay
+                self._decays[columns.start + state.channels_of(name) : columns.stop] = rates.sh_rest_decay
         self._of_means = [at for name, at in self._places.items() if self.learning_rates.get(name, name) == "means"]
         self._update_columns = empty_aligned((3, width), np.float32)
         self._coefficients = torch.zeros(FLUSH_EVERY, width).numpy()  # by step: rate √(1 − β2^t) / (1 − β1^t)
@@ -143,15 +141,13 @@ class Adam:
         rates, bias1, bias2 = self._columns(iteration)
         state.now += 1
         if not self.is_sparse:
-            return self._step_all(
-                gradients.compute().values, rates / bias1, np.sqrt(bias2), rates * self._weight_decays
-            )
+            return self._step_all(gradients.compute().values, rates / bias1, np.sqrt(bias2), rates * self._decays)
         self._used = max(self._used, gradients.columns)
         roots = np.sqrt(bias2)
         step_sizes, per_bias2, shrink = self._update_columns
         np.divide(rates, bias1, out=step_sizes, casting="same_kind")
         np.divide(1, roots, out=per_bias2, casting="same_kind")
-        np.multiply(rates, self._weight_decays, out=shrink, casting="same_kind")
+        np.multiply(rates, self._decays, out=shrink, casting="same_kind")
         self._coefficients[state.now % FLUSH_EVERY] = rates * roots / bias1
         update = Update(step_sizes, per_bias2, shrink, self.rates.sh_rest_decay > 0, *UPDATE_CONSTANTS)
         step = AdamStep(self._rows(gradients.columns), self._deferred(state.now - 1), self._decay, update)
@@ -261,20 +257,17 @@ class Adam:
     def _step_all(
         self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray, shrink: np.ndarray
     ) -> Callable[[], str | None] | str | None:
-        """Step every row by its gradient (N, columns); return what `step` does.
-
-        step_sizes: rate / (1 − β1^t); bias2_sqrt: √(1 − β2^t); shrink: rate × weight decay, each float64 (columns,).
-        """
+        """Step every row by its gradient (N, columns); return what `step` does. Nothing decays that has no gradient."""
         values, first, second = rows = (self.state.values, self.state.first, self.state.second)
-        columns = sent(torch.from_numpy(np.stack([step_sizes, bias2_sqrt, shrink])), values)
         if shrink.any():
-            values.addcmul_(values, columns[2] * (grad != 0), value=-1)
+            values.addcmul_(values, sent(torch.from_numpy(shrink), values) * (grad != 0), value=-1)
+        columns = sent(torch.from_numpy(np.stack([step_sizes, bias2_sqrt])), values)
         if fuses(values):
             from tdgbench.splats.warp.adam import step_all
 
-            bad = step_all(grad, columns[:2], rows, (BETA1, BETA2), EPS)
+            bad = step_all(grad, columns, rows, (BETA1, BETA2), EPS)
         else:
-            sizes, bias = columns[:2]
+            sizes, bias = columns
             first.lerp_(grad, 1 - BETA1)
             second.mul_(BETA2).addcmul_(grad, grad, value=1 - BETA2)
             values.sub_(sizes * first / (second.sqrt() / bias + EPS))

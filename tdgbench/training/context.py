@@ -183,8 +183,7 @@ class Context:
         growth, growth_test, curriculum = self.budget.growth, None, self.curriculum(modality)
         if growth is not None:
             growth_test = GrowthTest(growth, self.scene.train, images, curriculum, self.backend, background, **of_rig)
-        rates = learning_rates or {}
-        options = ModelOptions(name or modality, rig, growth_test, background, rates, position_unit, curriculum)
+        options = ModelOptions(name or modality, rig, growth_test, background, learning_rates or {}, position_unit)
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(start, budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
         self._modality_of[options.name] = modality

@@ -75,10 +75,6 @@ class Curriculum(Part):
         """Iterations trained so far by scale, the largest scale first."""
         return dict(zip((*(scale for _, scale in self.steps), 1), self._trained, strict=True))
 
-    def iterations_up_to(self, scale: int) -> int:
-        """Return the number of iterations trained so far, the current one included, at a scale or smaller ones."""
-        return sum(count for used, count in self.iterations.items() if used <= scale)
-
     def shows(self, view: View) -> bool:
         """Return whether a view is trained on."""
         return not (self.is_holding and view.name in self._names)

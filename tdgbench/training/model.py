@@ -21,13 +21,10 @@ from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
-from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.growth import GrowthTest
 from tdgbench.training.part import EmptyModelError, Part, Report, State
 from tdgbench.training.rig import Rig
 from tdgbench.training.skips import Skips, Work
-
-HALF_SIZE = 2  # scale of images from which the SH degree rises
 
 
 @dataclass(frozen=True)
@@ -37,7 +34,7 @@ class ModelOptions:
     name: for messages. rig: of the camera whose images it is trained on; None: the poses are that camera's.
     growth_test: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians; None:
     black. learning_rates: of fields, in the place of the budget's; see `Adam`. position_unit: world units, of the
-    means' learning rate; None: the scene's extent. curriculum: the sizes of the images; None: always the full one.
+    means' learning rate; None: the scene's extent.
     """
 
     name: str = "thermal"
@@ -46,7 +43,6 @@ class ModelOptions:
     background: torch.Tensor | None = None
     learning_rates: Mapping[str, float | str] = field(default_factory=dict)
     position_unit: float | None = None
-    curriculum: Curriculum | None = None
 
 
 class SplatModel(Part):
@@ -74,7 +70,7 @@ class SplatModel(Part):
         self.density = budget.density.control(extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
-        self.growth_test, self.background, self.curriculum = options.growth_test, options.background, options.curriculum
+        self.growth_test, self.background = options.growth_test, options.background
         self.blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
@@ -165,13 +161,9 @@ class SplatModel(Part):
         return next((name for name, tensor in self.gaussians.items() if not torch.isfinite(tensor).all()), None)
 
     def begin(self, iteration: int) -> None:
-        """Raise the SH degree if it is due. Iterations do not count while images have less than half of their size.
-
-        Where few large Gaussians stand for the scene, views differ in what these cannot show; harmonics would learn it.
-        """
+        """Raise the SH degree if it is due."""
         self._iteration = iteration
-        counted = iteration if self.curriculum is None else self.curriculum.iterations_up_to(HALF_SIZE)
-        self.degree = max(self.degree, self.budget.active_degree(counted))
+        self.degree = max(self.degree, self.budget.active_degree(iteration))
 
     def has_recovered(self, iteration: int) -> bool:
         return self.density.rules.has_recovered(iteration, self.budget.iterations)

@@ -13,7 +13,6 @@ def test_the_paper_s_settings_are_3dgs_s():
     r, d = b.rates, b.density
     assert (r.means_initial, r.means_final, r.means_steps) == (1.6e-4, 1.6e-6, 30_000)
     assert (r.sh_dc, r.sh_rest, r.opacity_logits, r.log_scales, r.quats) == (2.5e-3, 2.5e-3 / 20, 0.05, 5e-3, 1e-3)
-    assert r.sh_rest_decay == 0
     assert (d.start, d.stop, d.every, d.grad_threshold) == (500, 15_000, 100, 2e-4)
     assert (d.clone_max_scale, d.split_into, d.split_into * d.split_shrink) == (0.01, 2, 1.6)
     assert (d.min_opacity, d.max_world_scale, d.max_screen_radius) == (0.005, 0.1, 20)

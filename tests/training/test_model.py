@@ -10,9 +10,8 @@ from tdgbench.splats.gradients import PendingGradients
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.optimizer import BLACK
 from tdgbench.training import model as model_module
-from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.losses import thermal_loss
-from tdgbench.training.model import ModelOptions, SplatModel
+from tdgbench.training.model import SplatModel
 from tdgbench.training.skips import Skips
 from tests.helpers.configs import config
 
@@ -22,21 +21,6 @@ def make(scene, channels=1):
     cloud = scene.points
     start = gaussians_from_points(cloud.points, cloud.colors, channels, budget.sh_degree)
     return SplatModel(start, budget, scene.extent, "auto", torch.Generator().manual_seed(0))
-
-
-@pytest.mark.parametrize(("steps", "rises_at"), [([], [8, 16]), ([(10, 4), (20, 2)], [18, 26]), ([(10, 2)], [8, 16])])
-def test_the_degree_rises_with_iterations_on_images_of_half_their_size_or_more(small_scene, steps, rises_at):
-    budget = instantiate(config("budget=paper", "budget.sh_degree=2", "budget.sh_every=8").budget)
-    cloud, curriculum = small_scene.points, Curriculum(steps)
-    start = gaussians_from_points(cloud.points, cloud.colors, 1, budget.sh_degree)
-    generator, options = torch.Generator().manual_seed(0), ModelOptions(curriculum=curriculum)
-    model = SplatModel(start, budget, small_scene.extent, "auto", generator, options=options)
-    degrees = [0]
-    for iteration in range(1, 40):
-        curriculum.begin(iteration)
-        model.begin(iteration)
-        degrees.append(model.degree)
-    assert [degrees.index(1), degrees.index(2)] == rises_at
 
 
 def test_render_with_and_without_depth(small_scene):

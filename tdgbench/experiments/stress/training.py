@@ -174,7 +174,7 @@ def _budgets(cfg: DictConfig) -> list[tuple[str, Raises | str, dict[str, Any]]]:
 
 def _rates(cfg: DictConfig, factor: float) -> dict[str, Any]:
     """Return the learning rates of the budget times a factor; a rate has to be positive."""
-    rates = {k: v for k, v in cfg.budget.rates.items() if k not in ("_target_", "means_steps", "sh_rest_decay")}
+    rates = {k: v for k, v in cfg.budget.rates.items() if k not in ("_target_", "means_steps")}
     return {f"rates.{name}": max(float(value) * factor, 1e-30) for name, value in rates.items()}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import sys
 
 import torch
 
@@ -30,7 +31,7 @@ def load_backend(name: str) -> Backend:
     """Return the backend of a name. Raises ValueError if there is none."""
     module = f"{__name__}.{name}"
     try:
-        return importlib.import_module(module).BACKEND
+        return (sys.modules.get(module) or importlib.import_module(module)).BACKEND  # each step of a training asks
     except (ModuleNotFoundError, AttributeError) as error:
         if getattr(error, "name", module) not in (module, "BACKEND"):
             raise

@@ -4,8 +4,8 @@ A row without gradient keeps moving: its moments decay, m ← β1 m and v ← β
 where j counts the steps since its last gradient, ρ = β1 / √β2 and c_s = rate_s √(1 − β2^s) / (1 − β1^s). These steps
 are summed and applied when the row is next read. The result differs from torch.optim.Adam by rounding and by eps, which
 enters all deferred steps as the eps √(1 − β2^t) of the step t that applies them. It cannot be dropped: where g²
-underflows in float32, v is 0 and m is not. Weight decay (AdamW, Loshchilov & Hutter 2019) is for parameters whose
-gradient is not 0.
+underflows in float32, v is 0 and m is not. Weight decay (AdamW, Loshchilov & Hutter 2019) is part of the steps with
+a gradient, not of deferred ones.
 """
 
 from __future__ import annotations
@@ -17,16 +17,7 @@ import numpy as np
 from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.simd.memory import load, prefetch_columns, prefetch_row, store
-from tdgbench.splats.cpu.simd.registers import (
-    LANES,
-    absolute,
-    broadcast,
-    divide,
-    greater,
-    is_finite,
-    select,
-    square_root,
-)
+from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, is_finite, select, square_root
 
 F, U = np.float32, np.uint64
 PREFETCH_DISTANCE = 6  # rows
@@ -74,7 +65,7 @@ class Update(NamedTuple):
     step_sizes: np.ndarray  # float32 (stride,): rate / (1 − β1^t) of each column
     per_bias2: np.ndarray  # float32 (stride,): 1 / √(1 − β2^t) of each column
     shrink: np.ndarray  # float32 (stride,): rate × weight decay of each column
-    shrinks: bool  # whether it may be above 0
+    decays: bool  # whether that is above 0 anywhere
     rest1: np.float32  # 1 − β1
     rest2: np.float32  # 1 − β2
     eps: np.float32
@@ -149,11 +140,10 @@ def step_row(step, i, gradients, source, bad):
     row = i * U(rows.stride)
     if rows.clocks[i, U(1)] < deferred.now:
         apply_deferred(rows, i, row, deferred)
-    if update.shrinks:
+    if update.decays:
         for j in range(0, rows.columns, LANES):
-            p, g = load(rows.parameters, row + U(j)), load(gradients, source + U(j))
-            shrink = select(greater(absolute(g), broadcast(F(0))), load(update.shrink, j), broadcast(F(0)))
-            store(rows.parameters, row + U(j), p - p * shrink)
+            p = load(rows.parameters, row + U(j))
+            store(rows.parameters, row + U(j), p - p * load(update.shrink, j))
     for j in range(0, rows.columns, LANES):
         g = load(gradients, source + U(j))
         store(bad, j, select(is_finite(g), load(bad, j), one))
