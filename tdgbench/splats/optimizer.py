@@ -44,7 +44,6 @@ class LearningRates:
     opacity_logits: NonNegativeFloat
     log_scales: NonNegativeFloat
     quats: NonNegativeFloat
-    sh_rest_decay: NonNegativeFloat = 0.0  # weight decay (AdamW) of `sh_rest`: a step scales it by 1 − rate × decay
 
     def means(self, iteration: int) -> float:
         """Return the rate of the means at an iteration (1-based): log-linear until `means_steps`, then constant.
@@ -102,13 +101,11 @@ class Adam:
         self._used = 0  # columns that ever had a gradient
         width = state.values.shape[1]
         self._places = {name: state.columns_of(name) for name in names}
-        self._steps, self._rates, self._decays = np.zeros((3, width))  # of each column; steps as `steps` counts them
+        self._steps, self._rates = np.zeros((2, width))  # of each column; steps as torch counts them, see `steps`
         for name, columns in self._places.items():
             self._rates[columns] = self._rate_of(name, 0)
-            if self.learning_rates.get(name, name) == "sh":
-                self._decays[columns.start + state.channels_of(name) : columns.stop] = rates.sh_rest_decay
         self._of_means = [at for name, at in self._places.items() if self.learning_rates.get(name, name) == "means"]
-        self._update_columns = empty_aligned((3, width), np.float32)
+        self._update_columns = empty_aligned((2, width), np.float32)
         self._coefficients = torch.zeros(FLUSH_EVERY, width).numpy()  # by step: rate √(1 − β2^t) / (1 − β1^t)
         self._displacements = torch.zeros((FLUSH_EVERY + 1) * width).numpy()
         exponents = np.arange(FLUSH_EVERY + 2, dtype=np.float64)
@@ -141,15 +138,14 @@ class Adam:
         rates, bias1, bias2 = self._columns(iteration)
         state.now += 1
         if not self.is_sparse:
-            return self._step_all(gradients.compute().values, rates / bias1, np.sqrt(bias2), rates * self._decays)
+            return self._step_all(gradients.compute().values, rates / bias1, np.sqrt(bias2))
         self._used = max(self._used, gradients.columns)
         roots = np.sqrt(bias2)
-        step_sizes, per_bias2, shrink = self._update_columns
+        step_sizes, per_bias2 = self._update_columns
         np.divide(rates, bias1, out=step_sizes, casting="same_kind")
         np.divide(1, roots, out=per_bias2, casting="same_kind")
-        np.multiply(rates, self._decays, out=shrink, casting="same_kind")
         self._coefficients[state.now % FLUSH_EVERY] = rates * roots / bias1
-        update = Update(step_sizes, per_bias2, shrink, self.rates.sh_rest_decay > 0, *UPDATE_CONSTANTS)
+        update = Update(step_sizes, per_bias2, *UPDATE_CONSTANTS)
         step = AdamStep(self._rows(gradients.columns), self._deferred(state.now - 1), self._decay, update)
         bad = gradients.take_step(step, statistics)
         deferred = state.now - self._flushed
@@ -255,12 +251,10 @@ class Adam:
 
     @torch.no_grad()
     def _step_all(
-        self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray, shrink: np.ndarray
+        self, grad: torch.Tensor, step_sizes: np.ndarray, bias2_sqrt: np.ndarray
     ) -> Callable[[], str | None] | str | None:
-        """Step every row by its gradient (N, columns); return what `step` does. Nothing decays that has no gradient."""
+        """Step every row by its gradient (N, columns); return what `step` does."""
         values, first, second = rows = (self.state.values, self.state.first, self.state.second)
-        if shrink.any():
-            values.addcmul_(values, sent(torch.from_numpy(shrink), values) * (grad != 0), value=-1)
         columns = sent(torch.from_numpy(np.stack([step_sizes, bias2_sqrt])), values)
         if fuses(values):
             from tdgbench.splats.warp.adam import step_all

@@ -4,8 +4,7 @@ A row without gradient keeps moving: its moments decay, m ← β1 m and v ← β
 where j counts the steps since its last gradient, ρ = β1 / √β2 and c_s = rate_s √(1 − β2^s) / (1 − β1^s). These steps
 are summed and applied when the row is next read. The result differs from torch.optim.Adam by rounding and by eps, which
 enters all deferred steps as the eps √(1 − β2^t) of the step t that applies them. It cannot be dropped: where g²
-underflows in float32, v is 0 and m is not. Weight decay (AdamW, Loshchilov & Hutter 2019) is part of the steps with
-a gradient, not of deferred ones.
+underflows in float32, v is 0 and m is not.
 """
 
 from __future__ import annotations
@@ -64,8 +63,6 @@ class Update(NamedTuple):
 
     step_sizes: np.ndarray  # float32 (stride,): rate / (1 − β1^t) of each column
     per_bias2: np.ndarray  # float32 (stride,): 1 / √(1 − β2^t) of each column
-    shrink: np.ndarray  # float32 (stride,): rate × weight decay of each column
-    decays: bool  # whether that is above 0 anywhere
     rest1: np.float32  # 1 − β1
     rest2: np.float32  # 1 − β2
     eps: np.float32
@@ -86,7 +83,7 @@ def _nothing() -> tuple[Stale, AdamStep]:
     rows = Rows(floats, floats, floats, np.zeros((0, 4), np.float32), np.zeros((0, 2), np.int32), 0, 0)
     deferred = Deferred(0, floats, floats, F(0))
     return Stale(rows, deferred, 0), AdamStep(
-        rows, deferred, Decay(floats, floats), Update(floats, floats, floats, False, F(0), F(0), F(0))
+        rows, deferred, Decay(floats, floats), Update(floats, floats, F(0), F(0), F(0))
     )
 
 
@@ -140,10 +137,6 @@ def step_row(step, i, gradients, source, bad):
     row = i * U(rows.stride)
     if rows.clocks[i, U(1)] < deferred.now:
         apply_deferred(rows, i, row, deferred)
-    if update.decays:
-        for j in range(0, rows.columns, LANES):
-            p = load(rows.parameters, row + U(j))
-            store(rows.parameters, row + U(j), p - p * load(update.shrink, j))
     for j in range(0, rows.columns, LANES):
         g = load(gradients, source + U(j))
         store(bad, j, select(is_finite(g), load(bad, j), one))
