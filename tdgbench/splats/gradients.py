@@ -123,12 +123,12 @@ class PendingGradients:
 
     @property
     def projected(self) -> Tensor:
-        """See `Gradients.projected`."""
+        """(capacity,) int32: Gaussians that were projected."""
         return torch.from_numpy(self._blended.done.projected.gaussian_ids)
 
     @property
     def radii(self) -> Tensor:
-        """See `Gradients.radii`."""
+        """(capacity,) int32 px: their radii; 0 is not visible."""
         return torch.from_numpy(self._blended.done.projected.radii)
 
     def compute(self, image_only: bool = False) -> Gradients:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
-import sys
 
 import torch
 
@@ -31,7 +30,7 @@ def load_backend(name: str) -> Backend:
     """Return the backend of a name. Raises ValueError if there is none."""
     module = f"{__name__}.{name}"
     try:
-        return (sys.modules.get(module) or importlib.import_module(module)).BACKEND  # each step of a training asks
+        return importlib.import_module(module).BACKEND
     except (ModuleNotFoundError, AttributeError) as error:
         if getattr(error, "name", module) not in (module, "BACKEND"):
             raise
