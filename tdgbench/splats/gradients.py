@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -121,12 +122,12 @@ class PendingGradients:
         self.pairs, self.blended = len(done.tiles.splat_ids), int(done.visits.counts.sum())
         self.touched = 0
 
-    @property
+    @cached_property
     def projected(self) -> Tensor:
         """(capacity,) int32: Gaussians that were projected."""
         return torch.from_numpy(self._blended.done.projected.gaussian_ids)
 
-    @property
+    @cached_property
     def radii(self) -> Tensor:
         """(capacity,) int32 px: their radii; 0 is not visible."""
         return torch.from_numpy(self._blended.done.projected.radii)
