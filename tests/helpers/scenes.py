@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tdgbench.scenes import ReadOptions
+from tdgbench.scenes import FolderDataset, ReadOptions, Scene
 from tdgbench.scenes.synthetic import SyntheticDataset
+
+
+def load(folder: Path, layout: str | None = None, **options) -> Scene:
+    """Load the scene in a folder. layout: of the data set; by default it is detected."""
+    return FolderDataset(str(folder), ReadOptions(**options), layout).load(None)
 
 
 def small_dataset(root: Path, **options) -> SyntheticDataset:

@@ -7,14 +7,6 @@ from tdgbench.training.losses import thermal_loss
 from tests.helpers.training import at_thermal_stage
 
 
-def test_as_released_it_starts_from_the_cloud_with_the_degree_of_the_rgb_model(small_gray_scene):
-    trainer, start = at_thermal_stage(small_gray_scene, "mftg")
-    points = len(trainer.whole_context.points.points)
-    assert len(start["thermal"]) == points != len(start["rgb"])
-    assert torch.allclose(start["thermal"].opacities, torch.tensor(0.1))
-    assert trainer.gaussians["thermal"].degree == trainer.gaussians["rgb"].degree > 0
-
-
 def test_as_described_it_goes_on_from_the_rgb_model(small_gray_scene):
     _, start = at_thermal_stage(small_gray_scene, "mftg_described")
     rgb, thermal_start = start["rgb"], start["thermal"]

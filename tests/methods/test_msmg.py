@@ -1,18 +1,6 @@
-import pytest
 import torch
 
 from tests.helpers.training import trained
-
-
-def test_crossed_weights(small_scene):
-    """total = 0.3 · N_th/(N_rgb + N_th) · L_rgb + 0.6 · N_rgb/(N_rgb + N_th) · L_thermal."""
-    method = trained(small_scene, "msmg", 60)[0].method
-    n_rgb, n_thermal = len(method.rgb), len(method.thermal)
-    assert n_rgb != n_thermal  # else the test could not tell the shares apart
-    step = method.step(1)
-    total = n_rgb + n_thermal
-    expected = 0.3 * n_thermal / total * step.numbers()[1]["rgb"] + 0.6 * n_rgb / total * step.numbers()[1]["thermal"]
-    assert step.loss.item() == pytest.approx(expected, rel=1e-5)
 
 
 def test_two_models_of_their_own(small_gray_scene):

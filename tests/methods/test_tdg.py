@@ -1,14 +1,12 @@
 import pytest
 import torch
 
-from methods.tdg import DepthTarget, comparable_depth, decay_weight, released_depth, switch_weight
+from methods.tdg import DepthTarget, comparable_depth, decay_weight, switch_weight
 from methods.tdg import depth_loss as loss_against
 from tdgbench.priors import DepthPrior
-from tdgbench.splats import Gaussians
 from tdgbench.splats.view import Render
 from tdgbench.training.skips import Skips
 from tdgbench.training.torch_losses import ssim_map
-from tests.helpers.gaussians import random_gaussians
 from tests.helpers.training import digest, trained
 
 
@@ -68,10 +66,6 @@ def test_nothing_rendered_is_infinitely_far():
     assert not inverse.any() and torch.isfinite(alpha.grad).all()
 
 
-def test_decay():
-    assert [decay_weight(t, 1, 501) for t in (1, 251, 501, 900)] == [1.0, 0.5, 0.0, 0.0]
-
-
 def test_depth_is_rendered_only_while_it_weighs(small_scene):
     trainer, log = trained(small_scene, "tdg", 40)
     with_depth = [line.iteration for line in log.lines if "depth" in line.terms]
@@ -108,24 +102,3 @@ def test_the_released_depth_loss_moves_nothing(request, scene_of):
     assert digest(written) != digest(plain)
     assert all("depth" in line.terms and 0 < line.terms["depth"] < 3 for line in logged.lines)
     assert not any("depth" in line.terms for line in log.lines)
-
-
-def test_released_depth_by_hand(small_scene):
-    """One opaque Gaussian fills the view: the map is its normalised z, with the view matrix multiplied transposed."""
-    camera = small_scene.train[0].camera
-    means, quats, scales, opacities, colors = random_gaussians(200, 3, 0, 1)
-    world_to_camera = torch.as_tensor(camera.world_to_camera).float()
-    means = (means - world_to_camera[:3, 3]) @ world_to_camera[:3, :3]
-    means[0] = (
-        torch.tensor([0.0, 0.0, 1.0]) @ world_to_camera[:3, :3] - world_to_camera[:3, 3] @ world_to_camera[:3, :3]
-    )
-    scales[0], opacities[0] = 5.0, 0.999999
-    cloud = Gaussians(means, scales.log(), quats, opacities.logit(), colors)
-    z = torch.cat([means, torch.ones(200, 1)], dim=1) @ world_to_camera
-    z = z[:, 2]
-    known = z[z > 0]
-    expected = ((z[0] - known.min()) / (known.max() - known.min())).clamp(0, 1) if z[0] > 0 else torch.tensor(0.0)
-    found = released_depth(cloud, camera, "auto")
-    others = opacities.new_tensor(0.02)  # at most 1 % of what is behind shines through, or stands before
-    assert found.shape == (36, 48) and found.min() >= 0 and found.max() <= 1 + 1e-5
-    assert (found.median() - expected).abs() < others

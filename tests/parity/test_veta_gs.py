@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from methods.canny import canny
 from methods.veta_gs import (
     Deformation,
     MonoSSIM,
@@ -81,13 +80,6 @@ def test_mono_ssim(data):
     assert sorted(gradients) == sorted(name for name, _ in loss.named_parameters())
     for name, parameter in loss.named_parameters():
         assert relative(parameter.grad, gradients[name]) < CLOSE, name
-
-
-def test_edges_are_those_of_opencv(data):
-    sizes = [name for name in data if name.startswith("canny_edges_")]
-    assert len(sizes) == 20 and sum(data[name].any() for name in sizes) > 10
-    for name in sizes:
-        assert np.array_equal(canny(data[name.replace("edges_", "")].astype(np.uint8), 100, 200), data[name] > 0), name
 
 
 def loop_state(data):

@@ -11,9 +11,7 @@ from PIL import Image
 
 from tdgbench.scenes import (
     Camera,
-    FolderDataset,
     PointCloud,
-    ReadOptions,
     Scene,
     SceneError,
     TemperatureRange,
@@ -21,10 +19,7 @@ from tdgbench.scenes import (
 )
 from tdgbench.scenes.temperature import MOST_SAMPLES
 from tests.helpers.layouts import LAYOUTS, write_mask, write_rgbt_scenes, write_thermalmix
-
-
-def load(folder, **options):
-    return FolderDataset(str(folder), ReadOptions(**options)).load(None)
+from tests.helpers.scenes import load
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tdgbench.scenes import Camera, Scene, SceneError, View
+from tdgbench.scenes import Camera, SceneError, View
 
 
 def camera(centre, size=(40, 30)) -> Camera:
@@ -17,13 +17,6 @@ def test_camera():
     assert np.allclose(c.center, [1, 2, 3])
     pixels, z = c.project(np.array([[1.0, 2, 5], [2, 2, 5], [1, 2, 1]]))
     assert np.allclose(pixels[:2], [[20, 15], [30, 15]]) and np.allclose(z, [2, 2, -2])
-
-
-def test_extent_follows_3dgs():
-    centres = [[0, 0, 0], [4, 0, 0], [2, 0, 0]]
-    views = [View(str(i), camera(c), load_thermal=lambda: None) for i, c in enumerate(centres)]
-    scene = Scene("s", "d", "", views, [], None, None, "folder", "", 1)
-    assert scene.extent == pytest.approx(1.1 * 2)
 
 
 def test_images_are_read_once():

@@ -5,15 +5,12 @@ import pytest
 from PIL import Image
 
 from tdgbench.data.prepare.prepare import write_view
-from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
+from tdgbench.scenes import SceneError
 from tests.helpers.layouts import celsius, write_model, write_thermalmix
+from tests.helpers.scenes import load
 
 LOWEST, STEP = 5500, 0.08  # counts, °C of one
 FRAME = np.arange(48) < 6  # columns that a warp has left empty
-
-
-def load(folder, **options):
-    return FolderDataset(str(folder), ReadOptions(**options)).load(None)
 
 
 def write(scene, folder, stored, suffix=".tiff"):

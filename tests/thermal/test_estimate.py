@@ -8,17 +8,24 @@ from tdgbench.scenes.synthetic.truth import read_truth
 from tdgbench.thermal import ThermalCamera, Unknown, estimate_camera
 from tdgbench.thermal.camera import normalized_truth
 from tdgbench.thermal.maps import evaluate
-from tests.helpers.camera_errors import errors_of
 from tests.helpers.layouts import celsius
+
+
+def errors_of(camera, truth):
+    """Estimated minus true: offsets (V,) in °C, gains (V,), vignette (H, W) in °C."""
+    true = normalized_truth(truth, camera.views, camera.reference)
+    height, width = true.vignette.shape
+    vignette = evaluate(camera.vignette, width, height) - true.vignette
+    return camera.offsets - true.response.offsets, camera.gains - true.response.gains, vignette
 
 
 def test_drift_gain_and_vignette_are_recovered(drifting_scene, drifting_camera):
     """The issue's bounds: 0.1 °C, 2 %, 0.2 °C, of errors of ±4 °C, ±5 % and 2.6 °C."""
-    errors = errors_of(drifting_camera, read_truth(drifting_scene.folder))
+    offsets, gains, vignette = errors_of(drifting_camera, read_truth(drifting_scene.folder))
     assert drifting_camera.unit == "°C" and np.ptp(drifting_camera.offsets) > 5
-    assert np.abs(errors.offsets).max() < 0.1
-    assert np.abs(errors.gains).max() < 0.02
-    assert np.abs(errors.vignette).max() < 0.2
+    assert np.abs(offsets).max() < 0.1
+    assert np.abs(gains).max() < 0.02
+    assert np.abs(vignette).max() < 0.2
     assert drifting_camera.residual_after < 0.1 * drifting_camera.residual_before
 
 
@@ -55,8 +62,8 @@ def test_masked_pixels_and_outliers_do_not_matter(drifting_scene):
         return replace(view, load_thermal=lambda: image, load_valid=lambda: valid)
 
     scene = replace(drifting_scene, train=[spoiled(view) for view in drifting_scene.train])
-    errors = errors_of(estimate_camera(scene), read_truth(drifting_scene.folder))
-    assert np.abs(errors.offsets).max() < 0.1 and np.abs(errors.gains).max() < 0.02
+    offsets, gains, _ = errors_of(estimate_camera(scene), read_truth(drifting_scene.folder))
+    assert np.abs(offsets).max() < 0.1 and np.abs(gains).max() < 0.02
 
 
 def test_a_view_with_few_points_keeps_an_ideal_response(drifting_scene):
@@ -104,20 +111,3 @@ def test_known_drift_is_found_in_a_real_scene(arco_folder):
     views = [drifted(view, offset) for view, offset in zip(scene.train, drift, strict=True)]
     camera = estimate_camera(replace(scene, train=views))
     assert np.abs(2 * camera.offsets - drift).max() < 0.15
-
-
-def test_the_truth_itself_has_no_error(drifting_scene, drifting_camera):
-    truth = read_truth(drifting_scene.folder)
-    true = normalized_truth(truth, drifting_camera.views, drifting_camera.reference).response
-    errors = errors_of(replace(drifting_camera, offsets=true.offsets, gains=true.gains), truth)
-    assert np.abs(errors.offsets).max() == 0 and np.abs(errors.gains).max() == 0
-
-
-def test_an_error_is_counted_where_it_is_made(drifting_scene, drifting_camera):
-    truth = read_truth(drifting_scene.folder)
-    before = errors_of(drifting_camera, truth)
-    offsets = drifting_camera.offsets.copy()
-    offsets[2] += 1
-    after = errors_of(replace(drifting_camera, offsets=offsets), truth)
-    assert after.offsets - before.offsets == pytest.approx([float(i == 2) for i in range(12)])
-    assert np.array_equal(after.vignette, before.vignette)

@@ -9,11 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import pycolmap
-from pydantic import Field
 
 from tdgbench.data.prepare.calibration import FOCALS, start_camera
 from tdgbench.data.prepare.places import nearest_pairs, to_metres
@@ -46,11 +45,11 @@ class SfmOptions:
     """
 
     images: Literal["rgb", "thermal"] = "rgb"
-    focal: Annotated[float, Field(gt=0)] | None = None
+    focal: float | None = None
     matching: Matching = "exhaustive"
     camera_model: CameraModel = "SIMPLE_RADIAL"
-    seed: Annotated[int, Field(ge=0)] = 0
-    threads: Annotated[int, Field(ge=1)] | None = None
+    seed: int = 0
+    threads: int | None = None
     calibration: tuple[CameraEntry, ...] = ()
     refine: bool = False
     is_of_exif: bool = False

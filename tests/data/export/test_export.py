@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from tdgbench.data.export.export import export_scene
-from tdgbench.scenes import FolderDataset, PointCloud, ReadOptions, SceneError
+from tdgbench.scenes import PointCloud, SceneError
 from tests.helpers.command import tdgbench_here
 from tests.helpers.layouts import (
     celsius,
@@ -18,12 +18,9 @@ from tests.helpers.layouts import (
     write_thermoscenes,
     write_ti_nsd,
 )
+from tests.helpers.scenes import load
 
 OPENCV = np.diag([1.0, -1, -1, 1])
-
-
-def load(folder, **options):
-    return FolderDataset(str(folder), ReadOptions(**options)).load(None)
 
 
 def assert_same(scene, other, atol=0.0):

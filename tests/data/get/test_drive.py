@@ -125,11 +125,6 @@ def test_folders_that_cannot_be_used(tmp_path, monkeypatch, files, message):
         Download(SOURCE, Path()).listing()
 
 
-def test_one_scene(tmp_path, monkeypatch):
-    one = drive(monkeypatch, TRUCK | {"Ebikes.zip": zipped(BIKE)})
-    assert fetch(job(tmp_path, scenes=("e-bikes",))) and one.got == ["Ebikes.zip"]
-
-
 def test_an_archive_that_is_no_archive(tmp_path, monkeypatch, capsys):
     """Google publishes no sums: a page in place of a file is found when it is unpacked; --force fetches it again."""
     one = drive(monkeypatch, {"Truck.zip": b"<html>"})

@@ -180,26 +180,15 @@ def fill(*arguments):
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def test_a_disk_that_fills_up_while_unpacking(tmp_path, server, monkeypatch):
+@pytest.mark.parametrize(("end", "error"), [(fill, OSError), (interrupt, KeyboardInterrupt)])
+def test_what_ends_while_unpacking(tmp_path, server, monkeypatch, end, error):
     """No half scene is left, and the archive is not fetched again."""
     one = request(tmp_path, server)
     with monkeypatch.context() as patch:
-        patch.setattr(fetching.shutil, "copyfileobj", fill)
-        with pytest.raises(OSError, match="No space left"):
+        patch.setattr(fetching.shutil, "copyfileobj", end)
+        with pytest.raises(error):
             fetch(one)
     assert [path.name for path in one.folder.iterdir()] == [".get"] and set(downloads(one)) == {"lion.zip"}
-    server.requests.clear()
-    assert fetch(one) and is_whole(one.folder) and [name for name, _ in server.requests] == ["face.tar.gz"]
-
-
-def test_an_interruption_keeps_what_is_there(tmp_path, server, monkeypatch):
-    one = request(tmp_path, server)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(fetching.shutil, "copyfileobj", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            fetch(one)
-    assert [path.name for path in one.folder.iterdir()] == [".get"]
     server.requests.clear()
     assert fetch(one) and is_whole(one.folder) and [name for name, _ in server.requests] == ["face.tar.gz"]
 
@@ -273,14 +262,6 @@ def test_two_processes(tmp_path, server):
     one = request(tmp_path, server)
     with file_lock(one.downloads / ".lock"), pytest.raises(GetError, match="another process is fetching into"):
         fetch(one)
-
-
-def test_what_cannot_be_unpacked_is_named_with_the_address_and_the_folder(tmp_path, server, capsys):
-    server.files["pan.7z"] = b"7z"
-    server.sums["pan.7z"] = "0" * 32
-    assert fetch(request(tmp_path, server)) and is_whole(tmp_path / "ThermalMix")
-    out = capsys.readouterr().out
-    assert "pan.7z (https://zenodo.org/records/11065834; scenes belong into " in out
 
 
 @pytest.mark.parametrize("name", ["lion.zip", "lion.tar.gz"])

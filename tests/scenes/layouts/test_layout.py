@@ -6,10 +6,11 @@ import pytest
 from tdgbench.scenes import FolderDataset, MissingScenesError, ReadOptions, RegisteredDataset, SceneError
 from tdgbench.scenes.layouts import LAYOUTS, detect
 from tests.helpers.layouts import LAYOUTS as SHIPPED
+from tests.helpers.scenes import load
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_each_layout_is_detected_and_named(small_gray_scene, tmp_path, load, name):
+def test_each_layout_is_detected_and_named(small_gray_scene, tmp_path, name):
     folder = SHIPPED[name].write(small_gray_scene, tmp_path / "scene")
     layout = LAYOUTS[SHIPPED[name].layout]
     assert detect(folder) is layout
@@ -48,7 +49,7 @@ def test_a_folder_without_a_layout(tmp_path):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_the_fingerprint_covers_every_file_that_is_used(small_gray_scene, tmp_path, load, name):
+def test_the_fingerprint_covers_every_file_that_is_used(small_gray_scene, tmp_path, name):
     folder = SHIPPED[name].write(small_gray_scene, tmp_path / "scene")
     before = load(folder).fingerprint
     assert before == load(shutil.copytree(folder, tmp_path / "copy")).fingerprint

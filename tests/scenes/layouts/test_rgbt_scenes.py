@@ -2,15 +2,14 @@ import shutil
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from tdgbench.scenes import RegisteredDataset, SceneError
-from tdgbench.scenes.options import ReadOptions
+from tdgbench.scenes import SceneError
 from tests.helpers.flir import FlirCamera, write_flir
 from tests.helpers.layouts import celsius, write_rgbt_scenes
+from tests.helpers.scenes import load
 
 
-def test_as_shipped(small_scene, tmp_path, load):
+def test_as_shipped(small_scene, tmp_path):
     """Files are .jpg where the model says .png, and the model has a view without files."""
     scene = load(write_rgbt_scenes(small_scene, tmp_path / "Truck"), split="folder")
     assert [view.name for view in scene.test] == ["view000", "view008"] and len(scene.train) == 8
@@ -22,11 +21,11 @@ def test_as_shipped(small_scene, tmp_path, load):
 
 
 @pytest.mark.parametrize("model", ["sparse", "colmap/sparse/0"])
-def test_other_places_of_the_model(small_scene, tmp_path, load, model):
+def test_other_places_of_the_model(small_scene, tmp_path, model):
     assert len(load(write_rgbt_scenes(small_scene, tmp_path / "Truck", model=model)).views) == 10
 
 
-def test_the_principal_point_may_be_the_centre(small_scene, tmp_path, load):
+def test_the_principal_point_may_be_the_centre(small_scene, tmp_path):
     folder = write_rgbt_scenes(small_scene, tmp_path / "Truck")
     model = folder / "sparse" / "0" / "cameras.bin"
     data = bytearray(model.read_bytes())
@@ -39,7 +38,7 @@ def test_the_principal_point_may_be_the_centre(small_scene, tmp_path, load):
     assert half.K[:2, 2].tolist() == [12, 9]
 
 
-def test_temperatures_of_raw_images(small_scene, tmp_path, load):
+def test_temperatures_of_raw_images(small_scene, tmp_path):
     folder = write_rgbt_scenes(small_scene, tmp_path / "Truck", raw_images=True)
     scene = load(folder, thermal="radiometric", split="folder")
     span = scene.temperature
@@ -51,7 +50,7 @@ def test_temperatures_of_raw_images(small_scene, tmp_path, load):
     assert load(folder).channels == 3
 
 
-def test_radiometric_files_that_do_not_fit(small_scene, tmp_path, load):
+def test_radiometric_files_that_do_not_fit(small_scene, tmp_path):
     folder = write_rgbt_scenes(small_scene, tmp_path / "Truck")
     with pytest.raises(SceneError, match=r"has no raw_images/ folder of radiometric files"):
         load(folder, thermal="radiometric")
@@ -71,16 +70,3 @@ def test_radiometric_files_that_do_not_fit(small_scene, tmp_path, load):
     shutil.copy(folder / "thermal" / "train" / "view001.jpg", folder / "raw_images" / "view001.jpg")
     with pytest.raises(SceneError, match=r"raw_images/view001\.jpg holds no temperatures: it has no FLIR segment"):
         load(folder, thermal="radiometric")
-
-
-def test_a_registered_scene(small_scene, tmp_path):
-    write_rgbt_scenes(small_scene, tmp_path / "RGBT-Scenes" / "Ebike", model="colmap/sparse/0")
-    scene = RegisteredDataset(str(tmp_path), ReadOptions(split="folder"), "rgbt_scenes").load("Ebike")
-    assert (scene.name, scene.dataset, len(scene.test)) == ("Ebike", "RGBT-Scenes", 2)
-
-
-def test_a_view_in_both_parts(small_scene, tmp_path, load):
-    folder = write_rgbt_scenes(small_scene, tmp_path / "Truck")
-    Image.new("RGB", (48, 36)).save(folder / "thermal" / "train" / "view000.png")
-    with pytest.raises(SceneError, match="are both view view000; keep one of them"):
-        load(folder)

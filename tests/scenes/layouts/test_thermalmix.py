@@ -8,6 +8,7 @@ from tdgbench.scenes import FolderDataset, ReadOptions, RegisteredDataset, Scene
 from tdgbench.scenes.layouts.thermalmix import PUBLISHED, published_range
 from tdgbench.scenes.scene import TemperatureRange
 from tests.helpers.layouts import DISTORTIONS, celsius, write_downloaded_thermalmix, write_thermalmix
+from tests.helpers.scenes import load
 
 
 def framed(degC, number):
@@ -21,7 +22,7 @@ def framed(degC, number):
 @pytest.mark.parametrize(
     ("model", "photos"), [("colmap_sparse/0", "rgb"), ("sparse/0", "images"), ("colmap/sparse/0", "images_2")]
 )
-def test_every_place_that_the_authors_loader_knows(small_gray_scene, tmp_path, load, model, photos):
+def test_every_place_that_the_authors_loader_knows(small_gray_scene, tmp_path, model, photos):
     scene = load(write_thermalmix(small_gray_scene, tmp_path / "lion", model=model, photos=photos, camera="PINHOLE"))
     assert (len(scene.train), len(scene.test), scene.channels) == (8, 2, 1)
     view, original = scene.train[0], small_gray_scene.train[0]
@@ -33,7 +34,7 @@ def test_every_place_that_the_authors_loader_knows(small_gray_scene, tmp_path, l
     assert scene.notes[0].startswith("layout ThermalMix: warped_thermal/") and "lost" in scene.notes[1]
 
 
-def test_the_first_place_is_taken(small_gray_scene, tmp_path, load):
+def test_the_first_place_is_taken(small_gray_scene, tmp_path):
     folder = write_thermalmix(small_gray_scene, tmp_path / "lion", camera="PINHOLE")
     shutil.copytree(folder / "colmap_sparse", folder / "sparse")
     (folder / "sparse" / "0" / "cameras.bin").write_bytes(b"damaged")
@@ -46,7 +47,7 @@ def test_the_first_place_is_taken(small_gray_scene, tmp_path, load):
 
 
 @pytest.mark.parametrize("camera", DISTORTIONS)
-def test_rgb_and_temperatures_are_undistorted_alike(small_gray_scene, tmp_path, load, camera):
+def test_rgb_and_temperatures_are_undistorted_alike(small_gray_scene, tmp_path, camera):
     """Where an array is the photo, the loaded images are equal, whatever the camera."""
     folder = write_thermalmix(small_gray_scene, tmp_path / "lion", camera=camera, photos="images")
     raw = {}
@@ -60,7 +61,7 @@ def test_rgb_and_temperatures_are_undistorted_alike(small_gray_scene, tmp_path, 
         assert unchanged == (not DISTORTIONS[camera])
 
 
-def test_fillers_nan_and_infinities_are_masked(small_gray_scene, tmp_path, load):
+def test_fillers_nan_and_infinities_are_masked(small_gray_scene, tmp_path):
     def holes(degC, number):
         degC = framed(degC, number)
         degC[20, 20], degC[20, 22], degC[20, 24] = np.nan, np.inf, -1000
@@ -79,7 +80,7 @@ def test_fillers_nan_and_infinities_are_masked(small_gray_scene, tmp_path, load)
     assert kept.temperature.min == 0 and kept.views[0].valid.sum() == 36 * 48 - 3
 
 
-def test_masked_pixels_never_reach_valid_ones(small_gray_scene, tmp_path, load):
+def test_masked_pixels_never_reach_valid_ones(small_gray_scene, tmp_path):
     """Undistorted and resized, valid pixels are the same whatever the filler is."""
     scenes = []
     for filler in (0.0, -5000.0, np.nan):
@@ -96,7 +97,7 @@ def test_masked_pixels_never_reach_valid_ones(small_gray_scene, tmp_path, load):
         assert one[where].min() > 0
 
 
-def test_the_range_is_that_of_the_training_views(small_gray_scene, tmp_path, load):
+def test_the_range_is_that_of_the_training_views(small_gray_scene, tmp_path):
     def hot(degC, number):
         return degC + 100 if number in (0, 5) else degC  # the test views of eighty_twenty
 
@@ -132,7 +133,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("make", "message"), BAD, ids=range(len(BAD)))
-def test_arrays_that_are_no_temperatures(small_gray_scene, tmp_path, load, make, message):
+def test_arrays_that_are_no_temperatures(small_gray_scene, tmp_path, make, message):
     folder = write_thermalmix(small_gray_scene, tmp_path / "lion", camera="PINHOLE")
     path = folder / "warped_thermal" / "view003.npy"
     np.save(path, make(np.load(path)))
@@ -141,13 +142,13 @@ def test_arrays_that_are_no_temperatures(small_gray_scene, tmp_path, load, make,
     assert str(path) in str(error.value)
 
 
-def test_a_scene_of_one_temperature(small_gray_scene, tmp_path, load):
+def test_a_scene_of_one_temperature(small_gray_scene, tmp_path):
     folder = write_thermalmix(small_gray_scene, tmp_path / "lion", change=lambda degC, number: np.full_like(degC, 20))
     with pytest.raises(SceneError, match=r"give no range \(nearly all are 20 °C\); set data\.temperature=\[min,max\]"):
         load(folder, fillers=[])
 
 
-def test_what_is_missing_is_named(small_gray_scene, tmp_path, load):
+def test_what_is_missing_is_named(small_gray_scene, tmp_path):
     folder = write_thermalmix(small_gray_scene, tmp_path / "lion")
     shutil.rmtree(folder / "rgb")
     with pytest.raises(SceneError, match="has no RGB image"):
@@ -161,7 +162,7 @@ def test_what_is_missing_is_named(small_gray_scene, tmp_path, load):
         load(folder)
 
 
-def test_arrays_of_counts(small_gray_scene, tmp_path, load):
+def test_arrays_of_counts(small_gray_scene, tmp_path):
     """A scale of temperature.json turns integers into °C."""
     folder = write_thermalmix(
         small_gray_scene, tmp_path / "lion", change=lambda degC, number: np.round((degC + 100) * 40).astype(np.uint16)
@@ -177,7 +178,7 @@ JPEG_ERROR = 1.5, 6  # levels, of quality 95 at 48×36 px: mean, and that below 
 LEVEL = (LION.max - LION.min) / 255  # °C
 
 
-def test_as_downloaded(small_gray_scene, tmp_path, load):
+def test_as_downloaded(small_gray_scene, tmp_path):
     """Gray images only; °C from the published range, filler below the minimum of the images before the warp."""
     scene = load(write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", frame=5))
     assert (len(scene.train), len(scene.test), scene.channels, scene.temperature) == (8, 2, 1, LION)
@@ -195,14 +196,14 @@ def test_as_downloaded(small_gray_scene, tmp_path, load):
     ]
 
 
-def test_filler_that_is_kept_is_raised_to_the_minimum(small_gray_scene, tmp_path, load):
+def test_filler_that_is_kept_is_raised_to_the_minimum(small_gray_scene, tmp_path):
     folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", frame=5)
     for view in load(folder, fillers=[]).views:
         lowest = np.asarray(Image.open(folder / "thermal" / f"{view.name}.jpg")).min() / 255
         assert view.valid is None and lowest > 0.02 and np.allclose(view.thermal[:, :4], lowest, atol=1e-6)
 
 
-def test_the_range_is_published_for_scenes_of_these_names(small_gray_scene, tmp_path, load):
+def test_the_range_is_published_for_scenes_of_these_names(small_gray_scene, tmp_path):
     assert published_range("Faces") == PUBLISHED["face"] and published_range("panel") == TemperatureRange(22.7, 55.8)
     assert published_range("Truck") is None and published_range("kettle") is None
     write_downloaded_thermalmix(small_gray_scene, tmp_path / "ThermalMix" / "Hands")
@@ -219,7 +220,7 @@ def test_the_range_is_published_for_scenes_of_these_names(small_gray_scene, tmp_
     assert load(folder, temperature=[5, 50]).temperature == TemperatureRange(5, 50)
 
 
-def test_arrays_win(small_gray_scene, tmp_path, load):
+def test_arrays_win(small_gray_scene, tmp_path):
     folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", frame=5)
     shown = load(folder)
     for view in small_gray_scene.views:
@@ -234,7 +235,7 @@ def test_arrays_win(small_gray_scene, tmp_path, load):
     assert np.array_equal(one.thermal, other.thermal) and np.array_equal(one.valid, other.valid)
 
 
-def test_without_images_before_the_warp(small_gray_scene, tmp_path, load):
+def test_without_images_before_the_warp(small_gray_scene, tmp_path):
     """A black frame in the same place of all views is found as in arrays, and grows to blocks, too."""
     folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", frame=16)
     shutil.rmtree(folder / "thermal")
@@ -247,7 +248,7 @@ def test_without_images_before_the_warp(small_gray_scene, tmp_path, load):
     assert all(view.valid is None for view in load(unmasked).views)
 
 
-def test_the_place_of_known_fillers_shows_the_others(small_gray_scene, tmp_path, load):
+def test_the_place_of_known_fillers_shows_the_others(small_gray_scene, tmp_path):
     """A view that is black somewhere before the warp has its filler where the other views have theirs."""
     folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", frame=16)
     path = folder / "thermal" / "view003.jpg"
@@ -258,7 +259,7 @@ def test_the_place_of_known_fillers_shows_the_others(small_gray_scene, tmp_path,
 
 
 @pytest.mark.parametrize("camera", ["SIMPLE_RADIAL", "OPENCV"])
-def test_gray_images_are_undistorted_and_resized_as_arrays(small_gray_scene, tmp_path, load, camera):
+def test_gray_images_are_undistorted_and_resized_as_arrays(small_gray_scene, tmp_path, camera):
     folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", camera=camera, frame=5)
     shown = load(folder, width=30)
     for path in sorted((folder / "warped_thermal").iterdir()):
@@ -273,7 +274,7 @@ def test_gray_images_are_undistorted_and_resized_as_arrays(small_gray_scene, tmp
         assert np.allclose(one.thermal, other.thermal, atol=1e-5)
 
 
-def test_every_file_of_the_download_is_in_the_fingerprint(small_gray_scene, tmp_path, load):
+def test_every_file_of_the_download_is_in_the_fingerprint(small_gray_scene, tmp_path):
     folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion")
     before = load(folder).fingerprint
     (folder / "thermal" / "notes.txt").write_text("not used")

@@ -6,10 +6,11 @@ import pytest
 
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tests.helpers.layouts import APPLIED, write_model, write_thermoscenes
+from tests.helpers.scenes import load
 
 
 @pytest.mark.parametrize("points", ["saved", "original"])
-def test_cameras_and_points_share_a_world(small_gray_scene, tmp_path, load, points):
+def test_cameras_and_points_share_a_world(small_gray_scene, tmp_path, points):
     """Points project to the pixels of the original scene, in whichever world nerfstudio has written them."""
     scene = load(write_thermoscenes(small_gray_scene, tmp_path / "cup", points=points))
     xyz = small_gray_scene.points.points
@@ -36,7 +37,7 @@ def _as_written(view):
     [{}, {"file": "transforms_thermal.json"}, {"per_frame": True}, {"lists": True}, {"names_thermal": False}],
     ids=str,
 )
-def test_variants_of_the_file(small_gray_scene, tmp_path, load, options):
+def test_variants_of_the_file(small_gray_scene, tmp_path, options):
     folder = write_thermoscenes(small_gray_scene, tmp_path / "cup", **options)
     scene = load(folder, split="folder")
     assert (len(scene.train), len(scene.test), scene.channels) == (8, 2, 1)
@@ -62,13 +63,13 @@ def test_as_a_data_set(small_gray_scene, tmp_path):
         dataset.load("moon")
 
 
-def test_a_model_where_rgbt_scenes_has_it_decides(small_gray_scene, tmp_path, load):
+def test_a_model_where_rgbt_scenes_has_it_decides(small_gray_scene, tmp_path):
     folder = write_thermoscenes(small_gray_scene, tmp_path / "cup")
     write_model(small_gray_scene, folder / "colmap" / "sparse" / "0", "PINHOLE", ".jpg")  # nerfstudio leaves it there
     assert "ThermoScenes" in load(folder).notes[0]
 
 
-def test_files_that_are_not_there(small_gray_scene, tmp_path, load):
+def test_files_that_are_not_there(small_gray_scene, tmp_path):
     folder = write_thermoscenes(small_gray_scene, tmp_path / "cup", points=None)
     (folder / "thermal" / "frame_train_0001.png").unlink()
     (folder / "images" / "frame_train_0002.jpg").unlink()
@@ -82,7 +83,7 @@ def test_files_that_are_not_there(small_gray_scene, tmp_path, load):
         load(folder, "thermoscenes")
 
 
-def test_views_in_no_list_are_left_out_of_the_shipped_split(small_gray_scene, tmp_path, load):
+def test_views_in_no_list_are_left_out_of_the_shipped_split(small_gray_scene, tmp_path):
     folder = write_thermoscenes(small_gray_scene, tmp_path / "cup", lists=True)
     change(folder, lambda content: content["train_filenames"].pop())
     scene = load(folder, split="folder")
@@ -134,7 +135,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("act", "message"), BAD, ids=range(len(BAD)))
-def test_a_wrong_file_is_one_error(small_gray_scene, tmp_path, load, act, message):
+def test_a_wrong_file_is_one_error(small_gray_scene, tmp_path, act, message):
     folder = write_thermoscenes(small_gray_scene, tmp_path / "cup")
     change(folder, act)
     with pytest.raises(SceneError, match=message) as error:
@@ -150,14 +151,14 @@ def test_a_wrong_file_is_one_error(small_gray_scene, tmp_path, load, act, messag
     ("sparse_pc.ply", b"ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n",
      r"more than the file has bytes for; copy or download it again"),
 ])  # fmt: skip
-def test_a_damaged_file_is_one_error(small_gray_scene, tmp_path, load, name, content, message):
+def test_a_damaged_file_is_one_error(small_gray_scene, tmp_path, name, content, message):
     folder = write_thermoscenes(small_gray_scene, tmp_path / "cup")
     (folder / name).write_bytes(content)
     with pytest.raises(SceneError, match=message):
         load(folder)
 
 
-def test_points_that_cannot_be(small_gray_scene, tmp_path, load):
+def test_points_that_cannot_be(small_gray_scene, tmp_path):
     folder = write_thermoscenes(small_gray_scene, tmp_path / "cup")
     path = folder / "sparse_pc.ply"
     lines = path.read_text(encoding="utf-8").splitlines()
