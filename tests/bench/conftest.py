@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import pytest
 from omegaconf import OmegaConf
-from rich.console import Console
 
-from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.run_cell import run_cell
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import QUICK, config
 
 
@@ -21,7 +19,7 @@ def tiny_cell(tmp_path, data_root):
         OmegaConf.set_struct(cfg, False)
         for key, value in settings.items():
             OmegaConf.update(cfg, key.replace("__", "."), value)
-        return run_cell(cfg, variant, CellProgress(Console(quiet=True), 12))
+        return run_quietly(cfg, variant)
 
     of.experiment = tmp_path / "results" / "single"
     of.folder = of.experiment / "cells" / "3dgs" / "synthetic" / "turntable" / "colmap" / "seed0"

@@ -8,15 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
-from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.read_files import read_picture
-from tdgbench.bench.run_cell import run_cell
 from tdgbench.scoring import to_8bit
 from tdgbench.verify import verify_cell
 from tdgbench.view.cells import open_cell
 from tdgbench.view.renderer import Renderer
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import SMALL, config
 
 
@@ -25,7 +23,7 @@ def cell(tmp_path_factory, data_root):
     results = tmp_path_factory.mktemp("results")
     words = (*SMALL, "method=msmg", "scene=turntable", "budget=demo", "budget.iterations=20", "budget.background=mean")
     cfg = config(*words, f"data.root={data_root}", f"results={results}")
-    assert run_cell(cfg, "", CellProgress(Console(quiet=True), 20)).status == "ok"
+    assert run_quietly(cfg).status == "ok"
     return next(results.rglob("record.json")).parent
 
 

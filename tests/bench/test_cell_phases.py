@@ -1,14 +1,12 @@
 """The stages of a cell: checkpoints, and the backend that trains."""
 
 import pytest
-from rich.console import Console
 
 from tdgbench.bench.backend_check import choose
-from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
-from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.stored import hashes_of_content
 from tdgbench.training import checkpoint as checkpoints
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import SMALL, config
 
 ITERATIONS = 40
@@ -21,7 +19,7 @@ def run(data_root):
             *SMALL, "budget=demo", f"budget.iterations={ITERATIONS}", "prior=synthetic", f"data.root={data_root}",
             f"results={results}", *overrides,
         )  # fmt: skip
-        return run_cell(cfg, "", CellProgress(Console(quiet=True), ITERATIONS))
+        return run_quietly(cfg)
 
     return cell
 

@@ -8,17 +8,15 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 from PIL import Image
-from rich.console import Console
 
-from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
 from tdgbench.bench.renders import background_of, render_model, response_of
-from tdgbench.bench.run_cell import run_cell
 from tdgbench.scoring.metrics.psnr import psnr
 from tdgbench.scoring.scored_view import to_8bit
 from tdgbench.splats.ply import load_ply
 from tdgbench.thermal import corrected, estimate_camera
 from tdgbench.verify import verify, verify_cell
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import SMALL, config
 
 DRIFT = (
@@ -39,7 +37,7 @@ def results_of(tmp_path_factory):
             *SMALL, "budget=demo", "budget.iterations=60", "method=3dgs", f"data.root={root}",
             f"results={root / name}", "thermal_camera=estimated", *DRIFT, *overrides,
         )  # fmt: skip
-        outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 60))
+        outcome = run_quietly(cfg)
         assert outcome.status == "ok", outcome
         return cfg, root / name
 

@@ -6,12 +6,10 @@ import os
 import stat
 
 import pytest
-from rich.console import Console
 
-from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.run_cell import run_cell
 from tdgbench.tables.build import build_tables
 from tdgbench.training.checkpoint import Checkpoint
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import SMALL, config
 
 
@@ -36,10 +34,10 @@ def test_permissions_follow_the_umask(tmp_path, data_root, monkeypatch, umask, f
     try:
         with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
             patch.setattr(Checkpoint, "write_if_due", write_and_die)
-            run_cell(cfg, "", CellProgress(Console(quiet=True), 20))
+            run_quietly(cfg)
         (checkpoint,) = (experiment / "checkpoints").iterdir()
         assert stat.S_IMODE(checkpoint.stat().st_mode) == file
-        assert run_cell(cfg, "", CellProgress(Console(quiet=True), 20)).message == "resumed after iteration 1"
+        assert run_quietly(cfg).message == "resumed after iteration 1"
         build_tables(experiment)
     finally:
         os.umask(before)

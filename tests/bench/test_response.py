@@ -1,9 +1,7 @@
 import pytest
-from rich.console import Console
 
-from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
-from tdgbench.bench.run_cell import run_cell
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import SMALL, config
 
 STILL = (
@@ -24,7 +22,7 @@ def record_of(data_root, tmp_path):
             *SMALL, "budget=demo", "budget.iterations=40", "method=3dgs", f"data.root={root}", f"results={tmp_path}",
             *overrides,
         )  # fmt: skip
-        outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 40))
+        outcome = run_quietly(cfg)
         assert outcome.status == "ok", outcome
         (record,) = read_all(tmp_path / "single")
         return record

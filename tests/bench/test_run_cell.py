@@ -18,6 +18,7 @@ from tdgbench.bench.stored import hashes_of_content
 from tdgbench.scenes import view_images
 from tdgbench.scenes.images import read_image
 from tdgbench.splats.ply import load_ply
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import SMALL, config
 
 
@@ -31,7 +32,7 @@ def run(tmp_path, data_root, monkeypatch):
             *SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
             f"results={tmp_path / 'results'}", *overrides,
         )  # fmt: skip
-        return run_cell(cfg, variant, CellProgress(Console(quiet=True), 30))
+        return run_quietly(cfg, variant)
 
     cell.experiment = tmp_path / "results" / "single"
     return cell
@@ -168,7 +169,7 @@ def test_an_out_of_memory_error_is_recorded(run, monkeypatch):
 
 def test_missing_scenes_write_nothing(run, tmp_path):
     cfg = config("dataset=rgbt_scenes", f"data.root={tmp_path}", f"results={tmp_path / 'results'}")
-    outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 1))
+    outcome = run_quietly(cfg)
     assert outcome.status == "missing" and "RGBT-Scenes" in outcome.message
     assert not (run.experiment / "cells").exists()
 

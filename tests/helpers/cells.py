@@ -1,8 +1,18 @@
-"""What tests of failing cells look at."""
+"""Run cells, and what tests of failing ones look at."""
 
 from __future__ import annotations
 
+from omegaconf import DictConfig
+from rich.console import Console
+
+from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all
+from tdgbench.bench.run_cell import Outcome, run_cell
+
+
+def run_quietly(cfg: DictConfig, variant: str = "") -> Outcome:
+    """Run a cell that prints nothing."""
+    return run_cell(cfg, variant, CellProgress(Console(quiet=True), 1))
 
 
 def statuses(experiment) -> list[str]:

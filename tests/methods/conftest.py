@@ -6,11 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
-from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import Record, read_each
-from tdgbench.bench.run_cell import run_cell
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import QUICK, config
 
 
@@ -23,7 +21,7 @@ def run(tmp_path, data_root) -> Callable[..., tuple[Path, Record]]:
         cfg.data.root, cfg.results = str(data_root), str(tmp_path / "results")
         for name, value in options.items():
             cfg.method[name] = str(value)
-        outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 12))
+        outcome = run_quietly(cfg)
         assert outcome.status == status, outcome.message
         return {r.method: (f, r) for f, r in read_each(tmp_path / "results/single")}[cfg.method.name]
 

@@ -12,14 +12,12 @@ from pathlib import Path
 import pytest
 import torch
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 
-from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_all, read_each
-from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.setup import set_up
 from tdgbench.training.loop import train
 from tdgbench.verify.cell import verify_cell
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import QUICK, config
 from tests.helpers.page import Page
 from tests.helpers.paths import ROOT
@@ -84,12 +82,12 @@ def test_a_killed_training_resumes_to_the_same_bytes(configured, small_gray_scen
 @pytest.mark.parametrize("name", [*SHIPPED, *WORKED, *OPTIONS])
 def test_a_cell_is_stored_rendered_again_scored_and_removed(configured, name):
     cfg = configured(name)
-    outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), ITERATIONS))
+    outcome = run_quietly(cfg)
     assert outcome.status == "ok", outcome.message
     ((folder, record),) = read_each(Path(cfg.results) / cfg.name)
     assert record.method == cfg.method.name and record.scores["psnr"] > 5 and record.gaussians["thermal"] > 0
     assert verify_cell(folder) == []
-    assert run_cell(cfg, "", CellProgress(Console(quiet=True), ITERATIONS)).status == "kept"
+    assert run_quietly(cfg).status == "kept"
     for path in sorted(folder.rglob("*"), reverse=True):
         path.rmdir() if path.is_dir() else path.unlink()
     folder.rmdir()
@@ -101,7 +99,7 @@ def test_stages_settle_by_their_own_images(configured, small_gray_scene):
     rules = "budget.settling.every=5 budget.settling.fewest=1 budget.settling.checks=1 budget.settling.last_checks=1 "
     rules += "budget.settling.last_after=0 budget.settling.stalled_checks=1 budget.settling.gain=50"
     cfg = configured(f"fine_tuned budget=lean {rules} budget.pixels.smallest_side=8 budget.iterations=120")
-    outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 120))
+    outcome = run_quietly(cfg)
     assert outcome.status == "ok", outcome.message
     ((folder, record),) = read_each(Path(cfg.results) / cfg.name)
     skips = {skip["name"]: skip for skip in record.skips}
@@ -116,7 +114,7 @@ def test_stages_settle_by_their_own_images(configured, small_gray_scene):
 def test_the_parts_of_another_method_are_refused(configured, small_gray_scene):
     """A cell whose stored parts were exchanged is told, and not rendered with half of them."""
     cfg = configured("rig")
-    run_cell(cfg, "", CellProgress(Console(quiet=True), ITERATIONS))
+    run_quietly(cfg)
     ((folder, _),) = read_each(Path(cfg.results) / cfg.name)
     torch.save({"other": {}}, folder / "parts.pt")
     assert any("does not hold the parts of rig" in problem for problem in verify_cell(folder))

@@ -10,13 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from rich.console import Console
 
 from tdgbench.bench.metric_settings import metric_settings, scorer_of
-from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.protocol import protocol_of
 from tdgbench.bench.record import FILE, Record, read_all, read_record
-from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.scores import read_views
 from tdgbench.packs import pack
 from tdgbench.rescore import cell as rescore_cell
@@ -24,6 +21,7 @@ from tdgbench.rescore.command import main, read_options
 from tdgbench.scoring import METRICS, RenderedImages, Scorer
 from tdgbench.scoring.metric import ImageMetric, ViewMetric
 from tdgbench.verify import verify
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import SMALL, config
 from tests.scoring.weights import random_state
 
@@ -65,7 +63,7 @@ def test_it_gives_what_a_training_gives(data_root, tmp_path):
               f"data.root={data_root}", f"results={tmp_path}")  # fmt: skip
     for name, options in (("a", ()), ("c", ("metrics=standard",))):
         cfg = config(*common, f"name={name}", *options)
-        assert run_cell(cfg, "", CellProgress(Console(quiet=True), 12)).status == "ok"
+        assert run_quietly(cfg).status == "ok"
     assert score(tmp_path / "a", "b", "metrics=standard", OFFLINE) == 0
     a, b, trained = (record_of(tmp_path / name / MSMG) for name in "abc")
     assert b.protocol == trained.protocol == protocol_of(b.config) != a.protocol

@@ -8,16 +8,14 @@ from pathlib import Path
 import pytest
 from hydra.utils import instantiate
 from omegaconf import DictConfig
-from rich.console import Console
 
-from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.record import read_each
-from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.setup import set_up
 from tdgbench.training import trial
 from tdgbench.training.trainer import Trainer
 from tdgbench.training.trial import try_rig
 from tdgbench.verify.cell import verify_cell
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import QUICK, config
 
 ENOUGH = "dataset.loader.views=16"
@@ -74,7 +72,7 @@ def test_a_cell_stores_the_verdict_and_verifies(data_root, tmp_path, monkeypatch
     cfg.results = str(tmp_path)
     monkeypatch.setattr(trial, "GAIN", -100.0 if pays else 100.0)
     monkeypatch.setattr(trial, "ERRORS", -100.0)
-    assert run_cell(cfg, "", CellProgress(Console(quiet=True), 12)).status == "ok"
+    assert run_quietly(cfg).status == "ok"
     ((folder, record),) = read_each(Path(cfg.results) / cfg.name)
     assert record.thermal_camera["rig"]["pays"] is pays and ("rig" in record.parts) is pays
     assert any(note.startswith("thermal camera: the rig is") for note in record.notes) and "rig" in record.seconds

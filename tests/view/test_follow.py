@@ -11,15 +11,13 @@ from dataclasses import replace
 
 import pytest
 import torch
-from rich.console import Console
 
-from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.run_cell import run_cell
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.view.cells import open_cell
 from tdgbench.view.command import main
 from tdgbench.view.follow import Follower
 from tests.helpers.browser import CHROMIUM, opened
+from tests.helpers.cells import run_quietly
 from tests.helpers.configs import QUICK, SMALL, config
 from tests.helpers.paths import ROOT
 from tests.helpers.waiting import waited
@@ -48,7 +46,7 @@ def test_the_state_is_that_of_the_training(method, more, tmp_path, data_root, mo
         *QUICK, f"method={method}", "scene=turntable", f"data.root={data_root}", f"results={tmp_path}", "checkpoint=0",
         *more,
     )  # fmt: skip
-    assert run_cell(cfg, "", CellProgress(Console(quiet=True), 12)).status == "ok"
+    assert run_quietly(cfg).status == "ok"
     assert [cell.state.split(",")[0] for cell in found] == ["iteration 5", "iteration 9"]
     assert found[0].record.title.startswith(f"{method} on synthetic/turntable") and found[0].degC is not None
     last = follower.next(pytest.fail)["single"]
@@ -60,7 +58,7 @@ def test_a_training_that_cannot_be_announced_goes_on(tmp_path, data_root):
     (tmp_path / "single").mkdir()
     (tmp_path / "single" / "running").write_text("in the way")
     cfg = config(*QUICK, "method=3dgs", "scene=turntable", f"data.root={data_root}", f"results={tmp_path}")
-    outcome = run_cell(cfg, "", CellProgress(Console(quiet=True), 12))
+    outcome = run_quietly(cfg)
     assert outcome.status == "ok" and "tdgbench view --follow cannot show it: " in outcome.message
 
 
