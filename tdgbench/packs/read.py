@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import stat
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,7 +39,7 @@ def unpack(path: Path, folder: Path) -> tuple[Manifest, str]:
     try:
         with zipfile.ZipFile(path) as archive, whole_folder(folder) as part:
             return _extract(archive, part)
-    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise ValueError(f"{path} is no pack, or damaged: {error}") from error
     except ValueError as error:
         raise ValueError(f"{path} is no pack, or was changed: {error}") from error

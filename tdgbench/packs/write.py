@@ -78,9 +78,14 @@ def _paths(experiment: Path) -> dict[str, Path]:
 
 def _read(path: Path) -> bytes:
     """Read a file of a pack; a record is without the traceback of a failure."""
-    text = path.read_bytes()
-    content = json.loads(text) if path.name == FILE else {}
-    if not content.get("failure"):
-        return text
-    content["failure"]["traceback"] = ""
+    stored = path.read_bytes()
+    if path.name != FILE:
+        return stored
+    try:
+        content = json.loads(stored)
+        if not content.get("failure"):
+            return stored
+        content["failure"]["traceback"] = ""
+    except (ValueError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} cannot be packed: it is no record: {error}") from error
     return (json.dumps(content, indent=1, sort_keys=True) + "\n").encode()

@@ -1,4 +1,4 @@
-"""Input: scenes, views, cameras and sparse points; one loader per data set. Imports nothing else of tdgbench."""
+"""Input: scenes, views, cameras, sparse points; a loader per data set. Imports nothing of tdgbench but `text`."""
 
 from tdgbench.scenes.datasets import Dataset, FolderDataset, RegisteredDataset
 from tdgbench.scenes.errors import MissingScenesError, SceneError

@@ -13,6 +13,8 @@ from tdgbench.scenes.options import Description, FolderPath, ReadOptions
 from tdgbench.scenes.read import Outline, outline_scene
 from tdgbench.scenes.scene import Scene
 
+FolderLayout = Literal["thermoscenes", "ti_nsd"]  # of data sets whose scenes may be in <root>/<title>
+
 
 class Dataset(Protocol):
     """Source of scenes. A name of None means the only scene, where there is one."""
@@ -123,7 +125,12 @@ class RegisteredDataset(Outlines):
 
     def _find(self, name: str) -> Path | None:
         scene = self._registered(name)
-        return scene.find(self.root / registry.DATASETS[scene.dataset])
+        title = registry.DATASETS[scene.dataset]
+        folder = self.root / title
+        if not is_folder(folder) and is_folder(self.root):
+            wanted = registry.plain_name(title)
+            folder = next((path for path in listed(self.root) if registry.plain_name(path.name) == wanted), folder)
+        return scene.find(folder)
 
 
 class FolderDataset(Outlines):
@@ -133,9 +140,7 @@ class FolderDataset(Outlines):
     <root>/ThermoScenes; None detects the layout of each scene.
     """
 
-    def __init__(
-        self, root: FolderPath, options: ReadOptions, layout: Literal["thermoscenes", "ti_nsd"] | None = None
-    ) -> None:
+    def __init__(self, root: FolderPath, options: ReadOptions, layout: FolderLayout | None = None) -> None:
         self.layout = None if layout is None else LAYOUTS[layout]
         self.root = Path(root)
         self.options = options
@@ -149,7 +154,8 @@ class FolderDataset(Outlines):
         return [p.name for p in listed(root) if not is_hidden(p.name) and self._can_be_scene(p)]
 
     def missing(self, names: list[str]) -> list[str]:
-        return [name for name in names if name not in self.names()]
+        there = self.names()
+        return [name for name in names if name not in there]
 
     def explain_missing(self, names: list[str]) -> str:
         if not is_there(self._root()):

@@ -19,7 +19,8 @@ import numpy as np
 from PIL import Image
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import COUNT_MODES, FLOAT_MODE, opened_image
+from tdgbench.scenes.fillers import impossible
+from tdgbench.scenes.images import COUNT_MODES, FLOAT_MODE, opened_image, whole_image
 from tdgbench.scenes.inputs import decoding, read_bytes
 from tdgbench.scenes.temperature import TEMPERATURES, CountScale
 from tdgbench.scenes.validate import MAX_PIXELS
@@ -95,7 +96,7 @@ def read_celsius(path: Path, scale: CountScale = NO_SCALE) -> np.ndarray:
     raw counts of DJI: counts, of which the file (`count_scale`) or `scale` says the temperature. Raises SceneError
     naming the file.
     """
-    with opened_image(path) as image:
+    with whole_image(path) as image:
         if image.format in ("JPEG", "MPO"):
             counts = dji_counts(path) if scale.is_known else None
             return read_thermogram(path).celsius if counts is None else _valid_or_nan(scale.degC(counts), path)
@@ -228,7 +229,7 @@ def _as_rgb(photo: np.ndarray) -> np.ndarray:
 def _valid_or_nan(celsius: np.ndarray, path: Path) -> np.ndarray:
     """Return temperatures with NaN where they are not finite or cannot be. Raises SceneError if none is left."""
     celsius = celsius.astype(np.float64)
-    celsius[~((celsius > TEMPERATURES[0]) & (celsius <= TEMPERATURES[1]))] = np.nan
+    celsius[impossible(celsius)] = np.nan
     if np.isnan(celsius).all():
         raise SceneError(f"{path} holds no temperature between {TEMPERATURES[0]} and {TEMPERATURES[1]:g} °C")
     return celsius

@@ -58,8 +58,8 @@ def _of_images(
     if len(stored) > 1 and ("float" in stored or hold_counts):
         parts = ", ".join(f"{len(names)} {kind} ({first_few(names)})" for kind, names in sorted(stored.items()))
         raise SceneError(
-            f"{next(iter(sources.values())).path.parent} holds images of several kinds: {parts}. Float images are in "
-            "°C, the others are not; export all of them alike"
+            f"{next(iter(sources.values())).path.parent} holds images of several kinds: {parts}. Float images "
+            "are in °C, 16-bit ones without a range raw counts, 8-bit ones neither; export all of them alike"
         )
     if "float" in stored:
         given = None if radiometry is None else radiometry.range

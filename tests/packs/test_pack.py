@@ -206,6 +206,26 @@ def test_what_is_cut_is_no_pack(packed, tmp_path, length):
         unpack(tmp_path / "b.zip", tmp_path / "theirs")
 
 
+def test_a_changed_bit_is_one_error(packed, tmp_path):
+    """Wherever it is: in what deflate reads, zlib fails before a checksum does."""
+    stored = packed.read_bytes()
+    with zipfile.ZipFile(packed) as archive:
+        start = archive.getinfo(RECORD).header_offset + len(RECORD) + 30  # behind its header
+        size = archive.getinfo(RECORD).compress_size
+    for at in range(start, start + size, max(1, size // 60)):
+        (tmp_path / "b.zip").write_bytes(stored[:at] + bytes([stored[at] ^ 0x10]) + stored[at + 1 :])
+        with pytest.raises(ValueError, match=r"b\.zip is no pack, or"):
+            unpack(tmp_path / "b.zip", tmp_path / "theirs")
+
+
+@pytest.mark.parametrize("content", [b'{"a": ', b"[1]", b"\xff", b'{"failure": "lost"}'])
+def test_a_damaged_record_is_named(small_results, tmp_path, content):
+    copy = Path(shutil.copytree(small_results, tmp_path / "copy"))
+    (copy / RECORD).write_bytes(content)
+    with pytest.raises(ValueError, match=r"record\.json cannot be packed: it is no record"):
+        pack(copy, tmp_path / "a.zip", keep_paths=True)
+
+
 def test_a_folder_that_is_there_stays(packed, tmp_path):
     (tmp_path / "theirs").mkdir()
     with pytest.raises(FileExistsError, match="name a new folder"):

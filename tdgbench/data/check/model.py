@@ -18,7 +18,7 @@ def wrong_views(folder: Path) -> list[str]:
     """
     try:
         model = pycolmap.Reconstruction(folder)
-    except (ValueError, RuntimeError):
+    except (ValueError, RuntimeError, LookupError):
         return []
     problems = []
     for image in model.images.values():

@@ -6,19 +6,19 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
 from tdgbench.data.check.model import wrong_views
 from tdgbench.scenes import Dataset, FolderDataset, ReadOptions, RegisteredDataset, Scene, SceneError, registry
-from tdgbench.scenes.datasets import outline_of
+from tdgbench.scenes.datasets import FolderLayout, outline_of
 from tdgbench.scenes.images import SUFFIXES, read_pixels
 from tdgbench.scenes.inputs import is_folder, is_hidden, listed
-from tdgbench.scenes.layouts import detect
+from tdgbench.scenes.layouts import detect, plain, thermalmix
 from tdgbench.scenes.layouts.layout import model_folder
-from tdgbench.scenes.layouts.plain import MODELS
+from tdgbench.scenes.registry import plain_name
 
 MOST_PROBLEMS = 20  # of a scene, in words
 
@@ -71,18 +71,23 @@ def find_place(root: Path, split: str) -> Place:
     have the scenes that it is or holds, in any layout. If it has none, the paper's scenes are all missing.
     """
     options = ReadOptions(split=split)  # type: ignore[arg-type]
-    titles = {title.lower(): key for key, title in registry.DATASETS.items()}
-    key = titles.get(root.resolve().name.lower())
+    titles = {plain_name(title): key for key, title in registry.DATASETS.items()}
+    key = titles.get(plain_name(root.resolve().name))
     if key is not None and is_folder(root):
         dataset = RegisteredDataset(str(root.resolve().parent), options, key)  # type: ignore[arg-type]
-        return Place(root.parent, dataset, dataset.names(), is_paper=True)
+        parent = root.resolve().parent if root.name in ("", "..") else root.parent
+        return Place(parent, dataset, dataset.names(), is_paper=True)
     paper = RegisteredDataset(str(root), options)
-    if not is_folder(root) or any(path.name.lower() in titles and is_folder(path) for path in listed(root)):
+    if not is_folder(root) or any(plain_name(path.name) in titles and is_folder(path) for path in listed(root)):
         return Place(root, paper, paper.names(), is_paper=True)
     folder = FolderDataset(str(root), options)
     names = folder.names()
     if names:
         return Place(root, folder, names, is_paper=False)
+    for layout in get_args(FolderLayout):  # a data set's folder inside a data root, as `data get` makes it
+        inside = FolderDataset(str(root), options, layout)
+        if names := inside.names():
+            return Place(root, inside, names, is_paper=False)
     is_other = any(not is_hidden(path.name) for path in listed(root))
     return Place(root, paper, paper.names(), is_paper=True, is_other=is_other)
 
@@ -152,7 +157,7 @@ def _describe(scene: Scene, check: SceneCheck) -> None:
 
 def _check_model(scene: Scene, check: SceneCheck) -> None:
     """Add the views whose camera is wrong; where most are, the cameras may have been edited, which is noted."""
-    place = None if scene.folder is None else model_folder(scene.folder, MODELS)
+    place = None if scene.folder is None else model_folder(scene.folder, (*thermalmix.MODELS, *plain.MODELS))
     wrong = [] if place is None else wrong_views(place)
     if len(wrong) <= len(scene.views) / 2:
         check.problems += wrong

@@ -19,7 +19,7 @@ from tdgbench.text import one_line
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder, in any layout")
     parser.add_argument("out", type=Path, metavar="OUT", help="folder to write, which must not exist")
-    parser.add_argument("--format", choices=FORMATS, required=True, help="of the readers: docs/data.md")
+    parser.add_argument("--format", choices=FORMATS, required=True, help="of the readers: docs/other-programs.md")
     parser.add_argument("--data", nargs="+", default=[], metavar="OPTION=VALUE",
                         help="options data.* of a training, such as split=every_8th width=640")  # fmt: skip
 

@@ -19,6 +19,7 @@ import numpy as np
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import decoding, read_bytes
+from tdgbench.scenes.layouts.transforms import OPENGL_TO_OPENCV
 from tdgbench.scenes.scene import pose_at
 
 MOST_BYTES = 2**28  # of a document inside an archive
@@ -70,7 +71,7 @@ def table_poses(path: Path) -> dict[str, np.ndarray]:
         if line.strip() and not line.startswith("#"):
             name, *words = line.split("\t")
             values = _numbers(words, 15, f"{path}: photo {name}")
-            poses[name] = pose_at(values[:3], np.diag([1.0, -1.0, -1.0]) @ values[6:].reshape(3, 3))
+            poses[name] = pose_at(values[:3], OPENGL_TO_OPENCV @ values[6:].reshape(3, 3))
     return poses
 
 

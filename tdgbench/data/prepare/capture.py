@@ -19,7 +19,7 @@ from tdgbench.data.prepare.resample import Size
 from tdgbench.data.prepare.sources import Sources, ViewFiles
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import COUNT_MODES, MOST_COUNTS, read_image, storage, whole_image, with_channels
+from tdgbench.scenes.images import MOST_COUNTS, read_image, storage, with_channels
 from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.radiometric import (
     PhotoMapping,
@@ -227,10 +227,7 @@ def picture(thermal: np.ndarray) -> np.ndarray:
 
 def holds_celsius(path: Path, scale: CountScale) -> bool:
     """Return whether temperatures can be read from a thermal file; else it shows values without a scale."""
-    if is_radiometric(path):
-        return True
-    with whole_image(path) as image:
-        return image.mode in COUNT_MODES and scale.is_known
+    return is_radiometric(path) or (scale.is_known and storage(path) == "16-bit")
 
 
 def too_few(folder: Path, count: int, report: Report) -> SceneError:

@@ -29,15 +29,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("source", type=Path, metavar="CAMERA_FILES", help=argparse.SUPPRESS)
     add("out", type=Path, metavar="OUT", help=argparse.SUPPRESS)
     add("--pairs", nargs=2, metavar=("THERMAL", "RGB"), help="names of files, * is the view: '*_T.tiff' '*_V.jpg'")
-    add("--degC-per-count", type=_number, metavar="A", help="of 16-bit or DJI's counts: degC = counts × A + B")
-    add("--degC-at-zero", type=_number, default=0.0, metavar="B")
+    add("--degC-per-count", type=number, metavar="A", help="of 16-bit or DJI's counts: degC = counts × A + B")
+    add("--degC-at-zero", type=number, default=0.0, metavar="B")
     place = parser.add_mutually_exclusive_group().add_argument
-    place("--mapping", nargs=3, type=_number, metavar=("RATIO", "X", "Y"),
+    place("--mapping", nargs=3, type=number, metavar=("RATIO", "X", "Y"),
         help="thermal covers 1/RATIO of the RGB width, X, Y px off")  # fmt: skip
     place("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
     add("--sfm", choices=("rgb", "thermal"), default="rgb", help="images that COLMAP sees; thermal needs no RGB images")
     add("--poses", type=Path, metavar="FILE", help="of these images, by another program (docs/data.md)")
-    add("--focal", type=_number, metavar="PX", help="focal length of these images; default: estimated")
+    add("--focal", type=number, metavar="PX", help="focal length of these images; default: estimated")
     add("--calibration", type=Path, metavar="FILE", help="lens of these images (docs/data.md)")
     add("--refine", action="store_true", help="begin with that lens, or --poses'; default: it is kept")
     add("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="exhaustive, sequential (by name), nearest (GPS, poses)")  # fmt: skip
     add("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", metavar="NAME", help=", ".join(CAMERA_MODELS))
     add("--seed", type=int, default=0, metavar="N", help="of COLMAP; equal results need --threads 1, too")
-    add("--threads", type=_positive, metavar="N", help="of COLMAP; default: all processors")
+    add("--threads", type=positive_number, metavar="N", help="of COLMAP; default: all processors")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -77,6 +77,8 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
     """Return the options of a preparation. Raises SceneError for options that contradict each other."""
     if arguments.degC_per_count == 0:
         raise SceneError("--degC-per-count is 0; it must be the °C of one count")
+    if arguments.degC_at_zero != 0 and arguments.degC_per_count is None:
+        raise SceneError("--degC-at-zero needs --degC-per-count: degC = counts × A + B")
     if arguments.focal is not None and arguments.focal <= 0:
         raise SceneError("--focal must be positive: the focal length in px")
     if arguments.sfm == "thermal" and (arguments.mapping or arguments.homography):
@@ -103,15 +105,15 @@ def _options(arguments: argparse.Namespace) -> PrepareOptions:
     )
 
 
-def _number(text: str) -> float:
-    number = float(text)
-    if not math.isfinite(number):
+def number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text} is not finite")
-    return number
+    return value
 
 
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
+def positive_number(text: str) -> int:
+    value = int(text)
+    if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not positive")
-    return number
+    return value

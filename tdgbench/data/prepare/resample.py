@@ -20,8 +20,7 @@ from tdgbench.scenes.colmap import Undistortion
 from tdgbench.scenes.images import nearest_valid, resize
 from tdgbench.scenes.inputs import read_bytes
 from tdgbench.scenes.radiometric import PhotoMapping
-
-ASPECT_TOLERANCE = 0.01
+from tdgbench.scenes.view_images import ASPECT_TOLERANCE
 
 Size = tuple[int, int]  # width, height in px
 SMALLEST = 16  # px, of the output's sides

@@ -262,9 +262,14 @@ def add_models(largest: pycolmap.Reconstruction, *others: pycolmap.Reconstructio
 
 def _refine(model: pycolmap.Reconstruction, database: Path, images: Path, folder: Path, options: SfmOptions) -> None:
     """Triangulate the points of a joined model, refine all together, and write it."""
-    settings = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_focal_length=options.focal is None)
+    chosen = pipeline(options)
+    settings = pycolmap.BundleAdjustmentOptions(
+        print_summary=False,
+        refine_focal_length=chosen.ba_refine_focal_length and not options.is_of_exif,
+        refine_extra_params=chosen.ba_refine_extra_params,
+    )
     settings.ceres.solver_options.num_threads = options.threads or -1
-    joined = pycolmap.triangulate_points(model, database, images, folder, options=pipeline(options))
+    joined = pycolmap.triangulate_points(model, database, images, folder, options=chosen)
     pycolmap.bundle_adjustment(joined, settings)
     joined.write(folder)
 

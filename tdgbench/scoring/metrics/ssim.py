@@ -28,7 +28,8 @@ def ssim(image: np.ndarray, target: np.ndarray, border: Border, valid: np.ndarra
         raise ValueError(f"the images to compare are {image.shape} and {target.shape}")
     half = WINDOW // 2
     if border == "valid" and min(image.shape[:2]) < WINDOW:
-        raise ValueError(f"SSIM on the valid region needs {WINDOW}×{WINDOW} pixels; the image is {image.shape[:2]}")
+        asked = f"{image.shape[1]}×{image.shape[0]}"
+        raise NotApplicableError(f"SSIM on the valid region needs {WINDOW}×{WINDOW} px; an image is {asked}")
     a, b = image.astype(np.float64), target.astype(np.float64)
     if valid is not None:
         a, b = (np.where(valid[..., None], pixels, 0.0) for pixels in (a, b))

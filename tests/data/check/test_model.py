@@ -40,7 +40,11 @@ def test_another_focal_length_is_found_in_all_views(model, tmp_path):
     assert len(written(model, tmp_path)) == 6
 
 
-def test_what_pycolmap_does_not_read(tmp_path):
+def test_what_pycolmap_does_not_read(model, tmp_path):
+    assert wrong_views(tmp_path) == []
+    model.write_binary(tmp_path)
+    frames = tmp_path / "frames.bin"
+    frames.write_bytes(frames.read_bytes()[: frames.stat().st_size // 2])
     assert wrong_views(tmp_path) == []
 
 

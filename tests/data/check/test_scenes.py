@@ -1,7 +1,9 @@
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 from PIL import Image
 
@@ -10,7 +12,7 @@ from tdgbench.data.check.scenes import check_scenes, find_place
 from tdgbench.scenes import ReadOptions
 from tdgbench.scenes.registry import SCENES
 from tdgbench.scenes.synthetic import SyntheticDataset
-from tests.helpers.layouts import write_downloaded_thermalmix, write_rgbt_scenes, write_thermalmix
+from tests.helpers.layouts import write_downloaded_thermalmix, write_rgbt_scenes, write_thermalmix, write_thermoscenes
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +42,36 @@ def test_paper_scenes(tmp_path, small_scene, small_gray_scene):
     assert span.min - 1 < lion.temperature_degC[0] < lion.temperature_degC[1] < span.max + 1
     assert checks["Pan"].status == "missing" and "tdgbench data get thermalmix" in checks["Pan"].problems[0]
     assert checked(tmp_path / "ThermalMix")[1].keys() == {"Laptop", "Pan", "Lion", "Hand", "Face"}
+
+
+def test_the_folder_of_a_data_set(tmp_path, small_gray_scene, monkeypatch):
+    """In whatever case, and named by a dot; what is missing is downloaded to where it belongs."""
+    write_thermalmix(small_gray_scene, tmp_path / "thermalmix" / "lion")
+    assert checked(tmp_path)[1]["Lion"].status == "ok"
+    monkeypatch.chdir(tmp_path / "thermalmix")
+    _, checks, begun = checked(Path())
+    assert begun == ["Lion"] and f"data get thermalmix {tmp_path} (" in checks["Pan"].problems[0]
+
+
+def test_other_data_sets_in_a_data_root(tmp_path, small_gray_scene):
+    write_thermoscenes(small_gray_scene, tmp_path / "ThermoScenes" / "cup")
+    place, checks, _ = checked(tmp_path)
+    assert not place.is_paper and [(check.name, check.status) for check in checks.values()] == [("cup", "ok")]
+
+
+@pytest.mark.parametrize("model", ["colmap_sparse/0", "sparse/0"])
+def test_a_turned_view_of_thermalmix_is_named(tmp_path, small_gray_scene, model):
+    folder = write_thermalmix(small_gray_scene, tmp_path / "scene", model=model, camera="PINHOLE")
+    made = pycolmap.Reconstruction(folder / model)
+    for image in made.images.values():
+        seen = [(point.xyz, key) for key, point in made.points3D.items() if image.project_point(point.xyz) is not None]
+        image.points2D = [pycolmap.Point2D(image.project_point(xyz), key) for xyz, key in seen]
+    turn = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0.0, 0.6, 0.0])), np.zeros(3))
+    frame = made.frames[min(made.frames)]
+    frame.rig_from_world = turn * frame.rig_from_world
+    made.write(folder / model)
+    (problem,) = checked(folder)[1]["scene"].problems
+    assert "its pose or its camera" in problem
 
 
 def test_thermalmix_as_downloaded(tmp_path, small_gray_scene):

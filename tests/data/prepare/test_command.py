@@ -52,6 +52,8 @@ def test_next_steps_can_be_pasted(out):
         ("--mapping", "1", "0", "0", "--homography", "H.txt"),
         ("--degC-per-count", "0"),
         ("--degC-per-count", "nan"),
+        ("--degC-at-zero", "20"),
+        ("--focal", "abc"),
         ("--threads", "0"),
         ("--matching", "none"),
     ],
@@ -60,7 +62,7 @@ def test_wrong_options(tmp_path, options):
     (tmp_path / "camera").mkdir()
     run = tdgbench_here(tmp_path, "data", "prepare", "camera", "out", *options)
     assert run.returncode != 0 and not (tmp_path / "out").exists()
-    assert options[0] in run.stderr and "Traceback" not in run.stderr
+    assert options[0] in run.stderr and "Traceback" not in run.stderr and "_number" not in run.stderr
 
 
 def test_real_flir_files(tmp_path):

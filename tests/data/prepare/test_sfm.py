@@ -13,7 +13,7 @@ from tdgbench.data.prepare.stages import Stages
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tests.helpers.paths import SHARED
-from tests.helpers.relief import FOCAL, places, write_relief
+from tests.helpers.relief import FOCAL, HEIGHT, WIDTH, places, write_relief
 
 
 def test_pairs():
@@ -38,17 +38,22 @@ def test_no_model_is_one_error(tmp_path):
 
 @pytest.mark.slow
 def test_models_that_share_images_are_joined(tmp_path, monkeypatch):
-    """Two halves of a capture, mapped apart: joined, they are as good as the model of all; else the larger is kept."""
+    """Two halves of a capture, mapped apart: joined, they are as good as the model of all; else the larger is kept.
+
+    A lens that is to be kept is, though the points would have another one fit.
+    """
     centres = places(4, 3)
     names = [f"{path.stem}.png" for path in write_relief(tmp_path / "camera", centres)]
     for name in names:
         degC = np.asarray(Image.open(tmp_path / "camera" / name.replace("png", "tiff")))
         Image.fromarray(picture(degC)).save(tmp_path / "camera" / name)
-    options = SfmOptions("thermal", FOCAL, threads=1)
+    lens = CameraEntry(1, "SIMPLE_RADIAL", WIDTH, HEIGHT, (FOCAL, WIDTH / 2, HEIGHT / 2, 0.0))
+    options = SfmOptions("thermal", threads=1, calibration=(lens,))
     halves = [names[:8], names[3:]]
     monkeypatch.setattr(sfm, "_map", lambda *given: map_apart(halves, *given))
     joined = reconstruct(tmp_path / "camera", names, Stages(tmp_path / "work"), options)
     assert sorted(joined.poses) == names and joined.models == [12, 8] and joined.error_px < 0.2
+    assert tuple(joined.camera.params) == lens.params
     assert joined.notes == ["3 images come from a smaller model, joined by the images that both hold"]
     found = np.stack([-joined.poses[name][:3, :3].T @ joined.poses[name][:3, 3] for name in names])
     similarity = pycolmap.estimate_sim3d(found, centres)
