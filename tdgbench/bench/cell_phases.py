@@ -19,7 +19,7 @@ from tdgbench.bench.backend_check.choose import auto, training_backend
 from tdgbench.bench.environment import SAME_BYTES, code_version
 from tdgbench.bench.key import as_json, cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
-from tdgbench.bench.paths import cell_folder_of, files_of, short_name
+from tdgbench.bench.paths import cell_folder_of, files_of, prior_cache, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.protocol import protocol_of
 from tdgbench.bench.record import MadeElsewhere, PartReport, Record, SkipRecord
@@ -132,7 +132,7 @@ class CellRun(SetupObserver):
         scorer: Scorer = instantiate(self.cfg.metrics)
         self.record.backend = training_backend(self.cfg.backend.name)
         self._describe_scene(scene, scorer)
-        priors = self._cache("priors", "depth priors were")
+        priors = self._prior_cache()
         ready = set_up(self.cfg, scene, method=cell.method, skips=cell.skips, prior_cache=priors, observer=self)
         span, is_gray = ready.scored.temperature, ready.scored.channels == 1
         self.record.temperature_range = None if span is None or not is_gray else [span.min, span.max]
@@ -212,15 +212,15 @@ class CellRun(SetupObserver):
         except OSError as error:
             self.remarks.append(f"its checkpoint could not be removed: {error}")
 
-    def _cache(self, name: str, what: str) -> Path | None:
-        """Return the folder of what cells of a scene share; None, with a remark, if it cannot be written."""
-        folder = Path(self.cfg.results) / "cache" / name
+    def _prior_cache(self) -> Path | None:
+        """Return the folder of depth priors that cells share; None, with a remark, if it cannot be written."""
+        folder = prior_cache(Path(self.cfg.results))
         try:
             folder.mkdir(parents=True, exist_ok=True)
             with TemporaryFile(dir=folder):
                 return folder
         except OSError as error:
-            self.remarks.append(f"{what} not cached: {error}")
+            self.remarks.append(f"depth priors were not cached: {error}")
             return None
 
     def _fingerprint(self, cell: IdentifiedCell) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tdgbench.bench.read_files import read_picture
+from tdgbench.bench.read_files import read_named
 from tdgbench.scenes import View
 
 FOLDER = "masks"
@@ -55,10 +55,7 @@ def read_mask(folder: Path, name: str, size: tuple[int, int] | None = None) -> n
 
     Raises ValueError, naming the picture, if it is no mask.
     """
-    try:
-        pixels = read_picture(mask_path(folder, name), size)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{FOLDER}/{name}.png cannot be read: {error}") from error
+    pixels = read_named(folder, f"{FOLDER}/{name}.png", size)
     if pixels.shape[2] != 1 or not np.isin(pixels, (0, 255)).all():
         raise ValueError(f"{FOLDER}/{name}.png is no mask: its values must be 0 and 255, in one channel")
     return pixels[..., 0] > 0

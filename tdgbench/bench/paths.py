@@ -25,6 +25,11 @@ def cell_folder_of(experiment: Path, record: Record) -> Path:
     return experiment / "cells" / Path(*map(folder_name, parts))
 
 
+def prior_cache(results: Path) -> Path:
+    """Return the folder of the depth priors that the cells of a results folder share."""
+    return results / "cache" / "priors"
+
+
 def folder_name(name: str) -> str:
     """Return a visible folder name of at most 230 bytes; different names give different ones.
 

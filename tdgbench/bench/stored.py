@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -21,7 +22,7 @@ def readable_record(folder: Path) -> Record | None:
     """Return the record in a folder; None if there is none, or if it is broken and the cell has to run again."""
     try:
         return read_record(folder)
-    except (ValueError, OSError, RecursionError):
+    except ValueError:
         return None
 
 
@@ -66,7 +67,10 @@ def stored_in_words(experiment: Path) -> str:
     records = [readable_record(path.parent) for path in record_files(experiment)]
     finished = sum(record is not None and record.status == "ok" for record in records)
     cells = f"{finished} finished {'cell' if finished == 1 else 'cells'}"
-    written = [path.stat().st_mtime for path in (experiment / "checkpoints").glob("[!.]*.pt")]
+    written = []
+    for path in (experiment / "checkpoints").glob("[!.]*.pt"):
+        with suppress(OSError):  # another process has just removed it
+            written.append(path.stat().st_mtime)
     state = f" and a checkpoint of {max(0, time.time() - max(written)):.0f} s ago" if written else ""
     return f"{experiment} keeps {cells}{state}; the same command goes on from there"
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 from rich.table import Table
+from rich.text import Text
 
 from tdgbench.compare.causes import KINDS, MACHINE, PROTOCOL, Cause, find_causes
 from tdgbench.compare.cells import (
@@ -107,7 +108,7 @@ def _show(table: pd.DataFrame, causes: Sequence[Cause], pairs: int) -> None:
     shown = Table("scene", "method", "score", *NUMBERS.values(), "verdict")
     for row in table[table["metric"].isin([*COLUMNS, GAUSSIANS.name])].to_dict("records"):
         method = ", ".join(filter(None, (row["method"], row["init"], row["variant"])))
-        named = (one_line(row["scene"]), one_line(method), MEASURES[row["metric"]].label)
+        named = (Text(one_line(row["scene"])), Text(one_line(method)), MEASURES[row["metric"]].label)
         shown.add_row(*named, *numbers_as_text(row).values(), row["verdict"])
     console().print(shown)
     for kind, meaning in KINDS.items():

@@ -76,7 +76,7 @@ def picture(title: str, pair: Pair) -> dict[str, object]:
 
 
 def _most_different(pair: Pair) -> str:
-    tables = [table.set_index("view")["psnr"] for table in (cell.views() for cell in pair) if table is not None]
+    tables = [table["psnr"] for table in (cell.views() for cell in pair) if table is not None]
     if len(tables) < 2:
         raise ValueError("views.csv is missing or unusable")
     a, b = tables

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BaseModel, Field, PositiveFloat
 
+from tdgbench.bench.paths import prior_cache
 from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.experiments.experiment import Experiment, prepare_prior
@@ -145,7 +146,8 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     scene: Scene = instantiate(loader_of(cfg, skips)).load(scene_name)
     cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
     unready: Method = instantiate(OmegaConf.merge(cfg.study.methods[run.method].method, run.options))
-    trainer, scene, response = set_up(cfg, scene, method=unready, skips=skips)
+    priors = prior_cache(Path(cfg.results))
+    trainer, scene, response = set_up(cfg, scene, method=unready, skips=skips, prior_cache=priors)
     scorer: Scorer = instantiate(cfg.metrics)
     sampled = _sampled_iterations(trainer.whole_context.budget, samples)
     rows: list[dict[str, Any]] = []

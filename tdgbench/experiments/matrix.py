@@ -83,10 +83,10 @@ def configured(cfg: DictConfig, choices: Iterable[AxisValue]) -> DictConfig:
 
 def run_cells(cfg: DictConfig, axes: Axes) -> list[MatrixCell]:
     """Run the cells that have no result, the last axis first; print one line for each, and why one failed."""
-    progress = CellProgress(console(stderr=True), cfg.budget.iterations)
     ran = []
     for choices in product(*axes.values()):
         cell = configured(cfg, choices)
+        progress = CellProgress(console(stderr=True), cell.budget.iterations)
         outcome = run_cell(cell, ",".join(choice.variant for choice in choices if choice.variant), progress)
         say(outcome.line, stderr=True)
         if outcome.status not in SUCCESS:

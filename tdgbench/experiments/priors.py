@@ -12,6 +12,8 @@ import pandas as pd
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
+from tdgbench.bench.failures import message
+from tdgbench.bench.paths import prior_cache
 from tdgbench.bench.setup import loader_of
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.matrix import (
@@ -26,7 +28,6 @@ from tdgbench.experiments.matrix import (
 from tdgbench.experiments.prior_accuracy import Accuracy, PriorErrors, measure_prior, source
 from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
-from tdgbench.scenes import SceneError
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.terminal import say
@@ -66,8 +67,8 @@ class Priors(Experiment):
         for name in cfg.study.scenes:
             try:
                 tables.append(run_scene(cfg, name))
-            except SceneError as error:
-                say(str(error), "failed:")
+            except Exception as error:  # such as a network's for lack of memory; the other scenes are measured
+                say(message(error), "failed:")
         if tables:
             _write(Path(cfg.results) / cfg.name, tables)
         check_all_ran(cell for scene in tables for cell in scene.cells)
@@ -94,7 +95,7 @@ def run_scene(cfg: DictConfig, name: str | None) -> SceneTables:
     Raises SceneError if the scene cannot be read.
     """
     scene = instantiate(loader_of(cfg, instantiate(cfg.skip))).load(name)
-    priors, cache = cfg.study.priors, Path(cfg.results) / "cache" / "priors"
+    priors, cache = cfg.study.priors, prior_cache(Path(cfg.results))
     errors = {str(prior): measure_prior(options, scene, cache) for prior, options in priors.items()}
     available = {prior: priors[prior] for prior, error in errors.items() if not error.reason}
     without = AxisValue(NONE, {"method": cfg.study.without}, f"prior={NONE}")

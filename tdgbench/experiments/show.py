@@ -6,15 +6,17 @@ from collections.abc import Mapping
 
 import pandas as pd
 from rich.table import Table
+from rich.text import Text
 
 from tdgbench.terminal import console
+from tdgbench.text import one_line
 
 
 def show_table(table: pd.DataFrame, title: str | None = None) -> None:
-    """Print a table of text."""
+    """Print a table of text, none of which is rich's markup."""
     view = Table(*map(str, table.columns), title=title)
     for row in table.itertuples(index=False):
-        view.add_row(*map(str, row))
+        view.add_row(*(Text(one_line(str(text))) for text in row))
     console().print(view)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,14 +58,14 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
     only_images = cell.record.made_elsewhere is not None and not cell.record.gaussians
     for draw in (_pictures,) if only_images else (_pictures, _depth, _guesses):
         try:
-            shown |= draw(cell.folder, view)
+            shown |= draw(cell, view)
         except Exception as error:  # whatever is on disk, the page is written
             problems.append(f"{cell.record.title}: {message(error)}")
     return shown
 
 
-def _pictures(folder: Path, view: str) -> dict[str, Any]:
-    stored = stored_view(folder, view)
+def _pictures(cell: Cell, view: str) -> dict[str, Any]:
+    stored = stored_view(cell.folder, view)
     pictures = {
         "truth": views.grayed(colours.in_colour(stored.truth), stored.valid),
         "render": colours.in_colour(stored.render),
@@ -75,8 +74,8 @@ def _pictures(folder: Path, view: str) -> dict[str, Any]:
     return {name: views.embedded(pixels) for name, pixels in pictures.items()}
 
 
-def _depth(folder: Path, view: str) -> dict[str, Any]:
-    depth = views.depth_of(folder, view)
+def _depth(cell: Cell, view: str) -> dict[str, Any]:
+    depth = views.depth_of(cell, view)
     known = depth[np.isfinite(depth)]
     low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
     return {
@@ -85,8 +84,8 @@ def _depth(folder: Path, view: str) -> dict[str, Any]:
     }
 
 
-def _guesses(folder: Path, view: str) -> dict[str, Any]:
-    render, determinacy = stored_view(folder, view).render, stored_determinacy(folder, view)
+def _guesses(cell: Cell, view: str) -> dict[str, Any]:
+    render, determinacy = stored_view(cell.folder, view).render, stored_determinacy(cell.folder, view)
     return {
         "guesses": views.embedded(colours.shaded(colours.in_colour(render), determinacy)),
         "barely_seen": f"{is_barely_seen(determinacy).mean():.0%}",

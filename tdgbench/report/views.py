@@ -13,10 +13,11 @@ from PIL import Image
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.colours import UNKNOWN, expected_depth
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.renders import render_model
-from tdgbench.splats.ply import load_ply
+from tdgbench.bench.stored_views import StoredViews
+from tdgbench.scenes.modalities import THERMAL
+from tdgbench.tables.cell import Cell
 
-FILES = files_of("thermal")  # the report shows thermal images
+FILES = files_of(THERMAL)  # the report shows thermal images
 ERROR, DEPTH = "magma", "viridis"
 ERROR_RANGE = 0.15  # upper end of the colour scale of errors
 
@@ -39,6 +40,7 @@ def grayed(pixels: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
     return pixels if valid is None else np.where(valid[..., None], pixels, np.uint8(UNKNOWN))
 
 
-def depth_of(folder: Path, view: str) -> np.ndarray:
-    """Return z (H, W) of a cell's model in a test view, NaN without a surface."""
-    return expected_depth(render_model(load_ply(folder / FILES.model), read_cameras(folder)["test"][view], depth=True))
+def depth_of(cell: Cell, view: str) -> np.ndarray:
+    """Return z (H, W) of what a cell's method renders in a test view, NaN without a surface."""
+    stored = StoredViews(cell.folder, cell.record, read_cameras(cell.folder))
+    return expected_depth(stored.renderer(THERMAL)(view))

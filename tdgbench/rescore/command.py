@@ -11,6 +11,7 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
+from tdgbench.bench.failures import message
 from tdgbench.bench.key import as_json, relevant_metrics
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.metric_settings import metric_settings, scorer_of
@@ -19,6 +20,7 @@ from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import read_plan
 from tdgbench.bench.record import Record, read_each
 from tdgbench.experiments.sweep.finish import write_all
+from tdgbench.files import whole_folder
 from tdgbench.packs import opened_pack
 from tdgbench.rescore.cell import score_cell
 from tdgbench.resources import conf_folder
@@ -80,6 +82,8 @@ def score_experiment(experiment: Path, out: Path, words: list[str]) -> bool:
                 outcome = _score(folder, record, target, chosen, scorers)
         except (ValueError, OSError) as error:
             failed, outcome = True, f"not scored: {error}"
+        except Exception as error:  # a plug-in of its method may raise anything; the other cells are scored
+            failed, outcome = True, f"not scored: {message(error)}"
         say(one_line(f"{record.title}: {outcome}"))
     return failed
 
@@ -87,8 +91,8 @@ def score_experiment(experiment: Path, out: Path, words: list[str]) -> bool:
 def _score(folder: Path, record: Record, target: Path, chosen: Chosen | None, scorers: dict[str, Scorer]) -> str:
     """Score a cell, or hand the record of a failed one on; return what was done, in words."""
     if record.failure is not None:
-        target.mkdir(parents=True, exist_ok=True)
-        record.write(target)
+        with whole_folder(target) as part:
+            record.write(part)
         return record.why_failed
     metrics, download = chosen or Chosen(record.setting("metrics"))
     settings = metric_settings(metrics)

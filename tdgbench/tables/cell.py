@@ -13,6 +13,8 @@ import pandas as pd
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.read_files import check_regular
 from tdgbench.bench.record import Record
+from tdgbench.bench.scores import read_views
+from tdgbench.scoring import METRICS
 from tdgbench.tables.long_table import method_label, planned_iterations
 
 
@@ -52,12 +54,12 @@ class Cell:
         return json.dumps([*place, config, budget], sort_keys=True)
 
     def log(self) -> pd.DataFrame | None:
-        """Read log.csv: iteration, seconds, smoothed_psnr (dB), loss_thermal, …; None if it is not there."""
-        return _read_csv(self.folder / "log.csv")
+        """Read log.csv: iteration, seconds, smoothed_psnr (dB), loss_thermal, …; None if it is not there, or no log."""
+        return _log(self.folder / "log.csv")
 
     def views(self) -> pd.DataFrame | None:
-        """Read views.csv: view and its scores, NaN for n/a; None if there is no such file."""
-        return _read_csv(self.folder / "views.csv")
+        """Read views.csv: scores by the view's name, NaN for n/a; None if it is not there, or has another form."""
+        return _views(self.folder / "views.csv")
 
 
 def finished_cells(experiment: Path, records: Iterable[Record]) -> list[Cell]:
@@ -66,12 +68,19 @@ def finished_cells(experiment: Path, records: Iterable[Record]) -> list[Cell]:
 
 
 @cache
-def _read_csv(path: Path) -> pd.DataFrame | None:
-    """Read a table of numbers, but for its column `view`; None if the path is no CSV file."""
+def _views(path: Path) -> pd.DataFrame | None:
+    try:
+        rows = read_views(path)
+    except (OSError, ValueError):
+        return None
+    return pd.DataFrame(list(rows.values()), list(rows), list(METRICS), dtype=float)
+
+
+@cache
+def _log(path: Path) -> pd.DataFrame | None:
     try:
         check_regular(path)
-        table = pd.read_csv(path)
+        log = pd.read_csv(path).apply(pd.to_numeric, errors="coerce")
     except (OSError, ValueError):  # pandas raises ValueError for what is no table
         return None
-    numbers = [column for column in table.columns if column != "view"]
-    return table.assign(**{column: pd.to_numeric(table[column], errors="coerce") for column in numbers})
+    return log if len(log) and {"iteration", "seconds", "smoothed_psnr"} <= set(log.columns) else None

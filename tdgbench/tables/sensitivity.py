@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from skimage.metrics import structural_similarity
 
+from tdgbench.bench.metric_settings import metric_settings
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import Record
 from tdgbench.bench.renders import stored_view
@@ -173,7 +174,7 @@ def _lpips_by(scorer: Scorer) -> Callable[[ImagePair], float]:
 
 def _scorer(record: Record, weights: Weights, lpips_range: Range | None = None, net: Net | None = None) -> Scorer:
     """Return the record's scorer, or one with another range or network; nothing is downloaded."""
-    settings = record.setting("metrics")
+    settings = metric_settings(record.setting("metrics"))
     lpips = settings["lpips"]
     net, recorded = net or lpips["net"], lpips["weights"] if net is None else None
     options = LPIPSOptions(net, weights.get(net, recorded), download=False)

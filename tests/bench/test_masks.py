@@ -121,5 +121,5 @@ def test_masks_on_disk(small_gray_scene, tmp_path):
     assert np.array_equal(read_mask(tmp_path, "a.b", (48, 36)), valid)
     with pytest.raises(ValueError, match=r"masks/a\.b\.png cannot be read: .*it is 48×36 px, its camera 36×48 px"):
         read_mask(tmp_path, "a.b", (36, 48))
-    with pytest.raises(ValueError, match=r"masks/b\.png cannot be read"):
+    with pytest.raises(ValueError, match=r"masks/b\.png is missing"):
         read_mask(tmp_path, "b")

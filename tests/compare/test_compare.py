@@ -115,7 +115,7 @@ def test_page_and_table_show_the_view_that_differs_most(tmp_path, small_results,
     folder = next(path.parent for path in sorted(b.rglob("record.json")) if read_record(path.parent).failure is None)
     views = pd.read_csv(folder / "views.csv")
     views.loc[1, "psnr"] += 3
-    views.to_csv(folder / "views.csv", index=False)
+    views.to_csv(folder / "views.csv", index=False, na_rep="n/a")
     picture = folder / "renders" / f"{views.loc[1, 'view']}.png"
     Image.fromarray(255 - np.asarray(Image.open(picture))).save(picture)
     other = next(path for path in sorted(b.rglob("views.csv")) if path.parent != folder)

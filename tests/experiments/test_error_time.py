@@ -42,7 +42,8 @@ def test_faster_at_equal_iterations_quality_and_time():
 
 def experiment(data_root, *overrides):
     return config(
-        "+experiment=error_time", *SMALL, f"data.root={data_root}", "budget.iterations=20", "study.samples=3",
+        "+experiment=error_time", *SMALL, f"data.root={data_root}", f"results={data_root}/results",
+        "budget.iterations=20", "study.samples=3",
         "study.scenes=[turntable]", *overrides,
     )  # fmt: skip
 

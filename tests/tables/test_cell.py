@@ -1,4 +1,8 @@
+import pytest
+
 from tdgbench.bench.record import Failure, Record
+from tdgbench.bench.scores import write_views
+from tdgbench.scoring import METRICS
 from tdgbench.tables.cell import Cell, finished_cells
 
 
@@ -12,6 +16,35 @@ def test_only_finished_cells_count(tmp_path):
     failed = record(seed=1, status="failed", failure=Failure("train", "boom", ""))
     cells = finished_cells(tmp_path, [record(), failed])
     assert [cell.folder.name for cell in cells] == ["seed0"] and cells[0].log() is None
+
+
+def test_views_have_the_names_of_their_files(tmp_path):
+    """Which may look like numbers, or like nothing."""
+    (cell,) = finished_cells(tmp_path, [record()])
+    cell.folder.mkdir(parents=True)
+    names = ["001", "1e3", "NA", "=a"]
+    write_views(
+        cell.folder / "views.csv", {name: {**dict.fromkeys(METRICS), "psnr": 20.0 + i} for i, name in enumerate(names)}
+    )
+    views = cell.views()
+    assert list(views.index) == names and list(views["psnr"]) == [20, 21, 22, 23] and views["ssim"].isna().all()
+
+
+@pytest.mark.parametrize("text", ["", "iteration,seconds\n1,2\n", "iteration,seconds,smoothed_psnr\n", "psnr\n1\n"])
+def test_what_is_no_log_is_none(tmp_path, text):
+    """Nor a table of views: `compare` and `claims` go on without it."""
+    (cell,) = finished_cells(tmp_path, [record()])
+    cell.folder.mkdir(parents=True)
+    for name in ("log.csv", "views.csv"):
+        (cell.folder / name).write_text(text)
+    assert cell.log() is None and cell.views() is None
+
+
+def test_views_without_a_metric_have_none(tmp_path):
+    (cell,) = finished_cells(tmp_path, [record()])
+    cell.folder.mkdir(parents=True)
+    (cell.folder / "views.csv").write_text("view,psnr\na,1\n")
+    assert cell.views()["psnr"].tolist() == [1] and cell.views()["depth_inconsistency"].isna().all()
 
 
 def test_labels(tmp_path):

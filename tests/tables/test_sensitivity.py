@@ -158,6 +158,15 @@ def test_a_folder_without_cells_is_refused(tmp_path, capsys):
     assert "no finished cell" in capsys.readouterr().err
 
 
+def test_a_record_without_metrics_is_one_error(tmp_path, capsys):
+    folder = cell(tmp_path / "x", "tdg", [2.0])
+    record = json.loads((folder / FILE).read_text())
+    del record["config"]["metrics"]
+    (folder / FILE).write_text(json.dumps(record))
+    assert main(["sensitivity", str(tmp_path / "x")]) == 1
+    assert "metrics" in capsys.readouterr().err
+
+
 def test_a_damaged_picture_is_named(tmp_path, capsys):
     folder = cell(tmp_path / "x", "tdg", [2.0])
     (folder / "renders" / "0.png").write_bytes(b"no picture")

@@ -12,7 +12,7 @@ from tdgbench.bench.options import OptionError, check_options, names_to_text
 from tdgbench.bench.plan import IN_THE_PATH, Plan, configs_by, number_of_jobs, swept
 from tdgbench.experiments.experiment import prepare_prior
 from tdgbench.priors import PriorUnavailableError
-from tdgbench.scenes import SceneError
+from tdgbench.scenes import Dataset, Description, SceneError
 from tdgbench.terminal import say
 
 
@@ -21,29 +21,35 @@ def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
 
     Returns the number of cells, and of those whose scene is not on disk. Raises SystemExit(1) for an unknown scene.
     """
-    dataset = instantiate(cfg.dataset.loader)
     options = swept(cfg)
     names = options.get("scene") or [cfg.scene]
+    scenes, missing = list[Description](), list[Description]()  # of each data set
     try:
-        scenes = [dataset.describe(name) for name in names]
-        missing = dataset.missing([one.scene for one in scenes])
+        for one in configs_by(cfg, ("dataset", "data")):
+            dataset: Dataset = instantiate(one.dataset.loader)
+            described = [dataset.describe(name) for name in names]
+            absent = dataset.missing([scene.scene for scene in described])
+            if absent:
+                say(dataset.explain_missing(absent), "error:", stderr=True)
+            scenes += described
+            missing += [scene for scene in described if scene.scene in absent]
     except SceneError as error:
         say(str(error), "error:", stderr=True)
         raise SystemExit(1) from error
-    if missing:
-        say(dataset.explain_missing(missing), "error:", stderr=True)
     for message in unavailable_priors(configs_by(cfg, ("method", "dataset", "prior"))):
         say(f"{message}\n  cells of methods without a prior run", "error:", stderr=True)
     jobs = number_of_jobs(cfg) or len(scenes)
-    without_data = sum(one.scene in missing for one in scenes) * jobs // len(scenes)
+    without_data = len(missing) * jobs // len(scenes)
+    different = list(dict.fromkeys(scenes))
+    alike = len(different) < len(names) * len(set(options.get("dataset", [""])))  # two data sets of one title
     if jobs > 1:
         say(f"{cfg.name}: {jobs} cells, {without_data} without data", stderr=True)
     plan = Plan(
         table=cfg.table,
-        scenes=scenes,
+        scenes=different,
         methods=options.get("method", [cfg.method.name]),
         inits=options.get("init", [cfg.init.name]),
-        variant_keys=[key for key in options if key not in IN_THE_PATH],
+        variant_keys=[key for key in options if key not in IN_THE_PATH or (alike and key == "dataset")],
         cells_with_data=jobs - without_data if number_of_jobs(cfg) else 0,
     )
     plan.write(Path(cfg.results) / cfg.name)  # for the tables

@@ -113,7 +113,8 @@ def cells_at_once(launcher: DictConfig, cores: int, cells: int) -> int | None:
     2
     """
     if launcher.get("n_jobs") is not None:
-        return max(1, min(cores if launcher.n_jobs < 0 else int(launcher.n_jobs), cells))
+        workers = cores if launcher.n_jobs < 0 else int(launcher.n_jobs)
+        return max(1, min(workers, cells or workers))
     return 1 if launcher.get("_target_") == BASIC_LAUNCHER else None
 
 

@@ -67,7 +67,7 @@ class ClaimEvidence:
 def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     """Return our evidence: every cell of the experiments that has scores.
 
-    Cells with overrides of a method's or a prior's settings do not count: they are not the method as its YAML has it.
+    Cells with overrides of a method, a prior or an init do not count: they are not what the YAML files have.
     Cells whose prior is made from the sparse points, which come from RGB images, do not: TDg has thermal images alone.
     Raises ValueError for a folder without records.
     """
@@ -115,7 +115,7 @@ def published_lengths(cells: Sequence[Cell]) -> dict[tuple[str, str], int]:
 def _is_plain(record: Record) -> bool:
     if record.prior is not None and record.prior.get("made_from") == "points":
         return False
-    return not any(override.startswith(("method.", "prior")) for override in record.variant.split(","))
+    return not any(override.startswith(("method.", "prior", "init.")) for override in record.variant.split(","))
 
 
 def _lengths(cells: Sequence[Cell]) -> str:

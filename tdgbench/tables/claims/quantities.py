@@ -65,7 +65,7 @@ def _inconsistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float
     known = any(cell.record.scores.get("depth_abs_rel") is not None for cell in (mine, other))
     if known or a is None or b is None:
         return None
-    both = a.merge(b, on="view")[["depth_inconsistency_x", "depth_inconsistency_y"]].dropna()
+    both = pd.concat([table["depth_inconsistency"] for table in (a, b)], axis=1, join="inner").dropna()
     logs = np.log(both[(both > 0).all(axis=1)])
     return None if logs.empty else (float(np.exp(logs.iloc[:, 0].mean())), float(np.exp(logs.iloc[:, 1].mean())))
 

@@ -31,7 +31,7 @@ def test_workers_share_the_cores(launcher, threads):
     assert worker_threads(OmegaConf.create(launcher), 8, cells=20) == threads
 
 
-@pytest.mark.parametrize(("workers", "cells", "threads"), [(-1, 4, 2), (4, 2, 4), (-1, 1, 8), (-1, 0, 8)])
+@pytest.mark.parametrize(("workers", "cells", "threads"), [(-1, 4, 2), (4, 2, 4), (-1, 1, 8), (-1, 0, 1), (4, 0, 2)])
 def test_a_few_cells_share_all_cores(workers, cells, threads):
     assert worker_threads(OmegaConf.create({"n_jobs": workers}), 8, cells) == threads
 

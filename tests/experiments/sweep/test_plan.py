@@ -26,6 +26,23 @@ def test_a_sweep_talks_without_a_terminal(tmp_path, data_root):
     assert again.stderr.count(": starts, ") == 1 and again.stderr.count(": already there\n") == 2
 
 
+def test_a_sweep_over_data_sets(tmp_path, data_root):
+    """Two that results call alike have a cell each, like two that they do not."""
+    sweep = ("-m", *QUICK, f"data.root={data_root}", "method=3dgs", "scene=turntable", "hydra/launcher=basic")
+    for others, folders in (
+        ("synthetic,synthetic_degC", ["synthetic/turntable/colmap/seed0", "synthetic_degC/turntable/colmap/seed0"]),
+        ("synthetic_degC,synthetic_gradient", [f"synthetic_degC/turntable/colmap/seed0,dataset={name}"
+                                               for name in ("synthetic_degC", "synthetic_gradient")]),
+    ):  # fmt: skip
+        run = command_here(tmp_path, *sweep, f"dataset={others}", f"name={others[-4:]}")
+        assert run.returncode == 0, run.stderr[-3000:]
+        assert "2 cells, 0 without data\n" in run.stderr
+        cells = tmp_path / "results" / others[-4:] / "cells" / "3dgs"
+        assert sorted(path.parent.relative_to(cells).as_posix() for path in cells.rglob("record.json")) == folders
+    run = command_here(tmp_path, "-m", "dataset=rgbt_scenes,thermalmix", "scene=Truck", f"data.root={data_root}")
+    assert run.returncode == 1 and "Truck is a scene of RGBT-Scenes: use dataset=rgbt_scenes" in run.stderr
+
+
 def test_names_in_quotes_and_scenes_that_are_missing(tmp_path, small_scene):
     """A folder of captures with an odd name; one scene of two is not there."""
     root = tmp_path / "captures"

@@ -67,6 +67,7 @@ def test_what_does_not_count(tmp_path):
     write(tmp_path, "tdg", variant="method.method.lambda_depth=0.4", seed=2)
     write(tmp_path, "tdg", variant="budget.iterations=1000,prior=marigold", seed=3)
     write(tmp_path, "tdg", init="random", seed=4)
+    write(tmp_path, "tdg", variant="init.points.train_only=true", seed=6)
     write(tmp_path, "tdg", prior={"estimator": "sfm_points", "kind": "disparity", "made_from": "points"}, seed=5)
     found = evidence_of([tmp_path])
     assert [cell.record.seed for cell in found.cells] == [4]
