@@ -25,7 +25,7 @@ from tdgbench.resources import conf_folder
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.optimizer import Adam
-from tdgbench.training.loop import train
+from tdgbench.training.loop import TrainingLog, train
 
 PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
     "raster.culling": "project",
@@ -93,14 +93,18 @@ def part_of_kernel(kernel, _arguments) -> str:
 def measure_step(cfg: DictConfig, steps: int) -> pd.DataFrame:
     """Train the configured method. Return part, ms, share of a step, longest first; `steps` steps warm up before."""
     scene = instantiate(cfg.dataset.loader).load(cfg.scene)
-    cfg.budget.iterations = steps
-    trainer = set_up(cfg, scene).trainer
-    train(trainer)
-    profile = StepProfile()
-    with profile.watch():
-        start = time.perf_counter()
-        train(trainer)
-        total = time.perf_counter() - start
+    cfg.budget.iterations = 2 * steps
+    trainer, profile, before = set_up(cfg, scene).trainer, StepProfile(), 0.0
+    with ExitStack() as stack:
+
+        def begin(log: TrainingLog) -> None:
+            nonlocal before
+            if log.iterations == steps:
+                before = log.seconds
+                stack.enter_context(profile.watch())
+
+        log = train(trainer, after_iteration=begin)
+    total, steps = log.seconds - before, log.iterations - steps
     seconds = {**profile.seconds, REMAINDER: total - sum(profile.seconds.values())}
     parts = pd.DataFrame([{"part": part, "ms": 1e3 * s / steps} for part, s in seconds.items()])
     parts = parts.sort_values("ms", ascending=False)

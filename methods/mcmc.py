@@ -85,7 +85,7 @@ class Relocation(DensityControl):
         if change.cloned:
             everywhere = torch.arange(count, device=dead.device)
             added = self._shared(everywhere[self._drawn(everywhere, change.cloned, generator)])
-            self.replace_rows(everywhere[:0], added)
+            self.state.replace_rows(everywhere[:0], added)
         self.state.refresh_bounds()
         self._clear()
         return change

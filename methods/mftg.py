@@ -8,10 +8,10 @@ SH degree in use stays that of the RGB model.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import torch
-from pydantic import NonNegativeFloat
+from pydantic import Field, NonNegativeFloat
 
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
@@ -32,7 +32,7 @@ class MFTG(Method):
     lambda_ssim: Share
     lambda_smooth: NonNegativeFloat
     smoothness_reading: SmoothnessReading
-    rgb_share: Share  # of the iterations
+    rgb_share: Annotated[float, Field(gt=0, lt=1)]  # of the iterations
     start: Literal["cloud", "rgb_model"]  # of the thermal stage
 
     def stages(self) -> list[Stage]:
@@ -69,5 +69,5 @@ class MFTG(Method):
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
-        model = {"thermal": self.thermal, "rgb": self.rgb}[modality]
+        model = self.rgb if modality == "rgb" else self.thermal  # of the stages so far
         return model.render(frame.camera, depth=modality == "thermal")

@@ -166,6 +166,8 @@ class MMOne(OMMG):
         rules, points = context.budget.density, context.points
         if type(rules) is not DensityRules:
             raise ValueError(f"{self.name} has a density control of its own: leave out +density")
+        if rules.uses_absolute:
+            raise ValueError(f"{self.name} adds up signed gradients: leave out budget.density.gradient=absolute")
         names = ("decompose", "decompose_threshold", "off_opacity", "active_opacity", "kept_opacity")
         rules = MultimodalRules(**vars(rules), **{name: getattr(self, name) for name in names})
         rgb = gaussians_from_points(points.points, points.colors, 3, context.budget.sh_degree)

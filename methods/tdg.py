@@ -181,7 +181,7 @@ def decay_weight(iteration: int, start: int, end: int) -> float:
     >>> [decay_weight(t, 1, 501) for t in (1, 251, 501, 900)]
     [1.0, 0.5, 0.0, 0.0]
     """
-    return max(0.0, 1.0 - (iteration - start) / max(end - start, 1))
+    return 1.0 - (iteration - start) / (end - start) if iteration < end else 0.0
 
 
 def switch_weight(iteration: int, end: int) -> float:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from pydantic import NonNegativeFloat, PositiveFloat
+from pydantic import PositiveFloat
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -23,7 +23,8 @@ from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import l1_and_dssim
 from tdgbench.training.method import Frame, Method, Share, Step
-from tdgbench.training.part import Network
+from tdgbench.training.part import Network, State
+from tdgbench.training.torch_losses import without_masked
 
 HARRIS = 0.04  # find_corners
 
@@ -80,6 +81,13 @@ class ConductionPart(Network):
         self.largest = added.detach().amax()
         return image + added
 
+    def state_dict(self) -> State:
+        return {**super().state_dict(), "largest": self.largest}
+
+    def load_state_dict(self, saved: State) -> None:
+        super().load_state_dict(saved)
+        self.largest = saved.get("largest", self.largest)  # cells that were stored before lack it
+
     def report(self) -> dict[str, Any]:
         largest = self.largest.item()
         return {**super().report(), "adds_at_most": largest, "dead": largest == 0.0}
@@ -98,7 +106,7 @@ class Thermal3DGS(Method):
     conduction: bool
     transmission_rates: list[PositiveFloat]  # first and last; they fall log-linearly, as the position rate does
     conduction_rates: list[PositiveFloat]
-    position_unit: NonNegativeFloat | None  # world units; None: the scene's extent
+    position_unit: PositiveFloat | None  # world units; None: the scene's extent
 
     def setup(self, context: Context) -> None:
         self.model, self.views = context.gaussians(position_unit=self.position_unit), context.views()
@@ -181,11 +189,13 @@ def corner_loss(image: Tensor, target: Tensor, valid: Tensor | None = None) -> T
     (`corners_loss`). No window sums M, so that R = −0.04 (Ix² + Iy²)²: w is 1 where the render is flat. The gradient
     also flows through w.
     """
+    if valid is not None:
+        image = without_masked(image, valid)  # 0, as beyond the border
     gray = 255 * (image.sum(dim=2) if image.shape[2] == 3 else 3 * image[..., 0])
     kernel = image.new_tensor([[-1.0, -2.0, -1.0], [0.0, 0.0, 0.0], [1.0, 2.0, 1.0]])
     padded = F.pad(gray[None, None], (1, 1, 1, 1))
     responses = F.conv2d(padded, torch.stack([kernel, kernel.T])[:, None])[0]
     strength = -HARRIS * responses.square().sum(dim=0).square()
-    weight = torch.exp(strength - strength.max())
+    weight = torch.exp(strength - (strength if valid is None else strength[valid]).max())
     weighted = (image - target).abs().mean(dim=2) * weight
     return weighted.mean() if valid is None else weighted[valid].mean()

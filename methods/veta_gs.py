@@ -104,7 +104,7 @@ class VetaGS(Method):
     time_noise_end: Share  # of all iterations
     deformation_rates: list[PositiveFloat]  # first and last, log-linear
     feature_rates: list[PositiveFloat]
-    position_unit: NonNegativeFloat | None  # world units; None: the scene's extent
+    position_unit: PositiveFloat | None  # world units; None: the scene's extent
 
     def setup(self, context: Context) -> None:
         self.model, self.views = context.gaussians(position_unit=self.position_unit), context.views()

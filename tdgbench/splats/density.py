@@ -137,7 +137,6 @@ class DensityControl:
     def __init__(self, rules: DensityRules, extent: float, state: TrainingState, iterations: int) -> None:
         """extent: of the scene, world units. iterations: length of the training."""
         self.rules, self.extent, self.state, self.iterations = rules, extent, state, iterations
-        self.faint_rounds = state.values.new_zeros(len(state))  # (N,): in how many of the last rounds it was faint
         self._clear()
 
     def _clear(self) -> None:
@@ -197,13 +196,12 @@ class DensityControl:
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what was accumulated, as `torch.save` takes it."""
-        tensors = {name: getattr(self, name).cpu() for name in (*self.accumulated, "faint_rounds")}
+        tensors = {name: getattr(self, name).cpu() for name in self.accumulated}
         return {name: tensor for name, tensor in tensors.items() if len(tensor)}
 
     def load_state_dict(self, saved: dict[str, Tensor]) -> None:
         """Restore what `state_dict` returned, after the rows were restored."""
         self._clear()
-        self.faint_rounds = self.state.values.new_zeros(len(self.state))
         for name, tensor in saved.items():
             getattr(self, name).copy_(tensor)
 
@@ -247,7 +245,7 @@ class DensityControl:
         if change.densified:
             free_buffers()  # of renders: the new Gaussians need the memory
             removed, added = self.removed_and_added(change, iteration, generator, decision)
-            self.replace_rows(removed, added)
+            self.state.replace_rows(removed, added)
             self._clear()
             free_buffers()
         if change.opacity_reset:
@@ -256,12 +254,6 @@ class DensityControl:
                 self.state.values[:, self.state.columns_of(name)].clamp_max_(logit)
                 optimizer.reset_moments(name)
         return change
-
-    def replace_rows(self, removed: Tensor, added: Tensor) -> None:
-        """Remove rows (n,), ascending, of the training state, and append others (m, columns)."""
-        kept = torch.ones_like(self.faint_rounds, dtype=torch.bool).index_fill_(0, removed, False)
-        self.faint_rounds = torch.cat([self.faint_rounds[kept], self.faint_rounds.new_zeros(len(added))])
-        self.state.replace_rows(removed, added)
 
     def removed_and_added(
         self, change: DensityChange, iteration: int, generator: torch.Generator, decision: GrowthDecision | None
@@ -280,8 +272,9 @@ class DensityControl:
         clone, split = (grow & small).nonzero().squeeze(1), (grow & ~small).nonzero().squeeze(1)
         change.cloned, change.split = len(clone), len(split)
 
-        self.faint_rounds = torch.where(decision.faint, self.faint_rounds + 1, 0)
-        remove = self._is_transparent(old) | (self.faint_rounds >= decision.rounds) | decision.at_camera
+        faint_rounds = self.state.faint_rounds
+        faint_rounds.copy_(torch.where(decision.faint, faint_rounds + 1, 0))
+        remove = self._is_transparent(old) | (faint_rounds >= decision.rounds) | decision.at_camera
         if iteration > rules.opacity_reset_every:
             remove |= largest > rules.max_world_scale * self.extent
             if rules.screen_radius_prune:

@@ -15,6 +15,7 @@ from plyfile import PlyData, PlyElement, PlyParseError
 
 from tdgbench.files import whole_file
 from tdgbench.splats.gaussians import Gaussians
+from tdgbench.splats.harmonics import MAX_DEGREE, num_bases
 
 CHUNK_ROWS = 100_000  # written at once
 
@@ -69,7 +70,7 @@ def _column(name: str, at: tuple[int, ...]) -> str:
 def _extra_fields_of(vertex: PlyElement, names: list[str]) -> dict[str, torch.Tensor]:
     """Return the further fields that columns of the file hold in full; other columns are ignored."""
     found: dict[str, list[tuple[int, ...]]] = {}
-    for match in filter(None, (re.fullmatch(r"(\w*?[^\W\d_])((?:_\d+){1,2})", name) for name in names)):
+    for match in filter(None, (re.fullmatch(r"(\w*?[^\W_])((?:_\d+){1,2})", name) for name in names)):
         found.setdefault(match[1], []).append(tuple(int(number) for number in match[2].split("_")[1:]))
     extra_fields = {}
     for name, places in found.items():
@@ -93,8 +94,8 @@ def load_ply(path: Path) -> Gaussians:
         missing = set(_columns(rest)) - names - {"nx", "ny", "nz"}
         if missing:
             raise ValueError(f"it has no {', '.join(sorted(missing))}")
-        if round((rest + 1) ** 0.5) ** 2 != rest + 1:
-            raise ValueError(f"{rest} f_rest coefficients per channel are no whole SH degree")
+        if rest + 1 not in map(num_bases, range(MAX_DEGREE + 1)):
+            raise ValueError(f"{rest} f_rest coefficients per channel are no SH degree from 0 to {MAX_DEGREE}")
         columns = {name: _finite(vertex, name) for name in _columns(rest) if name not in ("nx", "ny", "nz")}
         extra_fields = _extra_fields_of(vertex, [p.name for p in vertex.properties if p.name not in _columns(rest)])
     except Exception as error:

@@ -183,7 +183,7 @@ class SplatModel(Part):
         """
         views, self._views = self._views, []
         gradients, statistics = self._gradients_of(views, iteration)
-        decision = None
+        was_rendered, decision = bool(views), None
         if self.density.is_round(iteration):
             self._forget(views)  # the round needs their memory
             if self.growth_test is not None:
@@ -193,7 +193,10 @@ class SplatModel(Part):
         self.work.add_change(change)
         bad = None
         if gradients is not None:
-            gradients = self.density.regularised(gradients)
+            regularised = self.density.regularised(gradients)
+            if regularised is not gradients:  # they are of all Gaussians
+                views = [replace(view, gradients=regularised) for view in views]
+            gradients = regularised
             without = self.density.opacity_fields if change.opacity_reset else ()
             bad = self.optimizer.step(gradients, iteration, without, statistics)
             if not self.skips.unseen.allowed:
@@ -201,7 +204,8 @@ class SplatModel(Part):
             every = self.budget.lift_dark_every
             if every and self.degree == 0 and iteration % every == 0:
                 self.optimizer.lift_dark()
-        self.density.after_step(self.optimizer, iteration, self._generator)
+        if was_rendered:
+            self.density.after_step(self.optimizer, iteration, self._generator)
         self._forget(views)
         if len(self) == 0:
             raise EmptyModelError(iteration, self.name)

@@ -71,6 +71,8 @@ class Settling(Stopping):
         """parts: of the stage that runs. errors: returns the errors (n, C) of a view's render at n valid pixels."""
         self.rule, self.iterations, self.curriculum = rule, iterations, curriculum
         self.parts, self.errors = parts, errors
+        for part in parts.values():  # the tail of an earlier stage slowed those that it had, too
+            part.scale_learning_rates(1.0)
         self._scale = curriculum.scale
         self._psnrs: list[list[float]] = []  # of the checks at this resolution, by view
         self._stalls = 0  # of the last checks, in a row

@@ -14,9 +14,9 @@ from tests.helpers.configs import SMALL
 from tests.helpers.paths import ROOT
 
 
-@pytest.mark.parametrize("method", ["tdg", "msmg"])
-def test_parts_add_up(tmp_path, data_root, method):
-    overrides = [*SMALL, f"data.root={data_root}", "prior=synthetic", "budget=demo", f"method={method}"]
+@pytest.mark.parametrize("method, budget", [("tdg", "demo"), ("msmg", "demo"), ("mftg", "lean")])
+def test_parts_add_up(tmp_path, data_root, method, budget):
+    overrides = [*SMALL, f"data.root={data_root}", "prior=synthetic", f"budget={budget}", f"method={method}"]
     run = program_here(training.main, tmp_path, "training", *overrides, "--steps", "20", "--out", str(tmp_path))
     assert run.returncode == 0, run.stderr[-2000:]
     table = pd.read_csv(tmp_path / "training.csv")

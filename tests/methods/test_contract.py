@@ -37,6 +37,7 @@ WORKED = ["gradient", "cooling", "one_geometry", "fine_tuned", "rig"]  # example
 OPTIONS = [
     "3dgs thermal_camera.rig=true",
     "msmg thermal_camera.rig=true",
+    "mftg budget=lean budget.settling.every=5 budget.settling.last_after=1000 thermal_camera.rig=true",
 ]  # that change parts
 
 

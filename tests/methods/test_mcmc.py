@@ -105,6 +105,24 @@ def test_a_training_grows_to_its_limit_and_reports_it(small_gray_scene):
     assert trainer.reports()["thermal"]["split"] == 0
 
 
+def test_what_is_not_rendered_is_not_moved(model):
+    before = model.gaussians.means.clone()
+    model.begin(3)
+    model.step(3)
+    assert torch.equal(model.gaussians.means, before)
+
+
+def test_steps_of_all_gaussians_are_counted(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "3dgs", 10, *MCMC)
+    train(trainer)
+    work = trainer.method.model.work
+    assert work.touched == work.rows > 0
+
+
+def test_lean_grows_by_the_limit_alone():
+    assert config("budget=lean", "+density=mcmc").budget.growth is None
+
+
 def test_it_needs_a_limit():
     with pytest.raises(ValueError, match="max_gaussians"):
         RelocationRules(**{name: value for name, value in config().budget.density.items() if name != "_target_"})

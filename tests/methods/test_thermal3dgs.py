@@ -67,6 +67,20 @@ def test_the_corner_loss_counts_valid_pixels_only():
     assert corner_loss(image, target, valid) == corner_loss(image, changed, valid) != corner_loss(image, changed)
 
 
+def test_the_corner_loss_depends_on_no_masked_pixel():
+    """Nor does its weight, whose largest value a flat area has."""
+    image, target = torch.rand(2, 12, 14, 1, generator=torch.Generator().manual_seed(2))
+    image = (0.5 + image / 5000).requires_grad_()
+    valid = torch.ones(12, 14, dtype=torch.bool)
+    valid[:, 7:] = False
+    flat = image.detach().clone()
+    flat[:, 7:] = 0.5
+    loss = corner_loss(image, target, valid)
+    loss.backward()
+    assert loss == corner_loss(flat, target, valid) > 0
+    assert image.grad[:, 7:].abs().max() == 0 < image.grad[:, :7].abs().max()
+
+
 def test_the_corner_loss_weights_flat_pixels():
     """An error counts where the render is flat, not at the corner of a warm square or on its edge."""
     image = torch.full((24, 24, 1), 0.2, dtype=torch.float64)
@@ -89,6 +103,9 @@ def test_a_record_says_whether_the_conduction_module_is_dead(small_gray_scene):
         assert report["parameters"] == 7 and report["dead"] == (report["adds_at_most"] == 0)
         if not report["dead"]:
             assert report["adds_at_most"] < 3 / math.sqrt(36)
+        _, again = (trainer, ready_to_train(small_gray_scene, "thermal3dgs", 3, *ALL_TERMS, seed=seed))
+        again.parts["conduction"].load_state_dict(trainer.parts["conduction"].state_dict())
+        assert again.reports()["conduction"] == report
     assert found == {True, False}
 
 

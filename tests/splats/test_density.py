@@ -139,6 +139,17 @@ def test_what_is_faint_in_rounds_that_show_all_views_is_pruned(rules):
     assert decided(restored, {0}) == 2
 
 
+@pytest.mark.parametrize("sorts", [False, True])
+def test_faint_rounds_are_counted_for_the_same_gaussian_wherever_its_row_is(rules, sorts):
+    """The last row fills the hole of the first; sorting in space moves it back."""
+    density = control(rules)
+    assert decided(density, {12}, at_camera={0}) == 3  # without the transparent one
+    if sorts:
+        density.state.order_in_space()
+    assert density.state.values[0, 0] == (3 if sorts else 12)
+    assert decided(density, {12}) == 2 and density.state.values[:, 0].max() == 6
+
+
 def test_what_holds_a_camera_is_pruned_at_once(rules):
     assert decided(control(rules), set(), {0, 3}) == 2
 

@@ -1,6 +1,7 @@
 import os
 import re
 import resource
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -93,6 +94,22 @@ def test_a_damaged_model_is_named_before_memory_is_taken(tmp_path, spoil, proble
     with pytest.raises(ValueError, match=rf"model\.ply is not a 3DGS model: .*{re.escape(problem)}"):
         load_ply(path)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # KB
+
+
+def test_a_degree_that_no_render_has_is_named(tmp_path):
+    save_ply(model(3, 4), tmp_path / "model.ply")
+    with pytest.raises(ValueError, match=r"24 f_rest coefficients per channel are no SH degree from 0 to 3"):
+        load_ply(tmp_path / "model.ply")
+
+
+@pytest.mark.parametrize("name", ["emissivity", "emissivity2", "e2_e"])
+@pytest.mark.parametrize("shape", [(1,), (2,), (2, 3)])
+def test_further_fields_are_read_again(tmp_path, name, shape):
+    given = model(1, 0)
+    field = torch.rand(len(given), *shape)
+    save_ply(replace(given, extra_fields={name: field}), tmp_path / "model.ply")
+    found = load_ply(tmp_path / "model.ply").extra_fields
+    assert list(found) == [name] and torch.equal(found[name].reshape(field.shape), field)
 
 
 def test_a_model_that_is_no_file_is_never_opened(tmp_path):

@@ -175,6 +175,14 @@ def test_rates_fall_log_linearly_after_settling():
     assert rates[:40] == [1.0] * 40 and rates[59] == pytest.approx(0.1) and rates[49] == pytest.approx(0.1**0.5)
 
 
+def test_parts_that_a_stage_takes_over_learn_at_their_full_rate_again():
+    """The tail of the stage before slowed them."""
+    part = Watched()
+    part.scale_learning_rates(0.05)
+    Settling(RULE, 100, Curriculum(), {"rig": part}, errors=lambda view: 1 / 0)
+    assert part.rate == 1.0
+
+
 def test_what_never_settles_has_its_tail_at_the_end():
     settling = Scripted(lambda i, scale: float(i), iterations=300)
     assert end_of(settling, 300) == 300 and settling.asked[-1] == 190
