@@ -13,10 +13,15 @@ from tests.helpers.command import program_here
 from tests.helpers.configs import SMALL
 from tests.helpers.paths import ROOT
 
+RULES = "every=5", "fewest=1", "checks=1", "last_checks=1", "stalled_checks=1", "last_after=0", "gain=50"
+ENDS_EARLY = "budget=lean", *(f"budget.settling.{rule}" for rule in RULES)
 
-@pytest.mark.parametrize("method, budget", [("tdg", "demo"), ("msmg", "demo"), ("mftg", "lean")])
-def test_parts_add_up(tmp_path, data_root, method, budget):
-    overrides = [*SMALL, f"data.root={data_root}", "prior=synthetic", f"budget={budget}", f"method={method}"]
+
+@pytest.mark.parametrize(
+    "words", [("method=tdg", "budget=demo"), ("method=msmg", "budget=demo"), ("method=mftg", *ENDS_EARLY)]
+)
+def test_parts_add_up(tmp_path, data_root, words):
+    overrides = [*SMALL, f"data.root={data_root}", "prior=synthetic", *words]
     run = program_here(training.main, tmp_path, "training", *overrides, "--steps", "20", "--out", str(tmp_path))
     assert run.returncode == 0, run.stderr[-2000:]
     table = pd.read_csv(tmp_path / "training.csv")

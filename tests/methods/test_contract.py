@@ -37,7 +37,11 @@ WORKED = ["gradient", "cooling", "one_geometry", "fine_tuned", "rig"]  # example
 OPTIONS = [
     "3dgs thermal_camera.rig=true",
     "msmg thermal_camera.rig=true",
-    "mftg budget=lean budget.settling.every=5 budget.settling.last_after=1000 thermal_camera.rig=true",
+    pytest.param(
+        "mftg budget=lean budget.settling.every=5 budget.settling.fewest=1 budget.settling.checks=1 "
+        "budget.settling.last_checks=1 budget.settling.last_after=0 budget.settling.stalled_checks=99",
+        id="mftg budget=lean",
+    ),
 ]  # that change parts
 
 
