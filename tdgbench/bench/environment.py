@@ -85,7 +85,7 @@ def git_state() -> dict[str, object] | None:
         return None
     try:
         commit = _git("rev-parse", "HEAD")
-        return {"commit": commit, "dirty": bool(_git("status", "--porcelain"))}
+        return {"commit": commit, "dirty": bool(_git("status", "--porcelain", "--", *HASHED, "conf", "paper_tables"))}
     except (OSError, subprocess.SubprocessError):
         return None
 

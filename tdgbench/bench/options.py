@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, cast
 
@@ -25,6 +26,7 @@ from tdgbench.bench.signature import (
 )
 from tdgbench.splats.backends import backend_names
 from tdgbench.splats.density import GradientKind
+from tdgbench.training.method import Method
 from tdgbench.training.skips import RULES, SWITCHES
 
 TEXTS = ("name", "scene", "results", "data.root")  # an ordinary name may be a number: name=2024
@@ -48,7 +50,9 @@ def check_options(cfg: DictConfig) -> None:
     OptionError, which names all problems.
     """
     plain, unresolved = _resolved(OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"]))
-    problems = unresolved or [*_model_problems(plain), *_object_problems(plain, ""), *not_finite(plain, "")]
+    problems = unresolved or [
+        *_model_problems(plain), *_object_problems(plain, ""), *not_finite(plain, ""), *_missing_weights(plain)
+    ]  # fmt: skip
     first: dict[str, Problem] = {}
     for problem in problems:
         name = _typed_name(cfg, problem.option)
@@ -236,9 +240,21 @@ def _object_problems(plain: Any, name: str) -> Iterator[Problem]:
     except Exception as error:  # a plug-in's module may raise anything
         yield Problem(f"{name}._target_", f"cannot be imported ({type(error).__name__}: {error})", plain["_target_"])
         return
+    if name == "method.method" and not (isinstance(target, type) and issubclass(target, Method)):
+        rule = f"must be a class that derives from {Method.__module__}.{Method.__name__}"
+        yield Problem(f"{name}._target_", rule, plain["_target_"])
+        return
     given = {k: v for k, v in plain.items() if not (k.startswith("_") or (isinstance(v, dict) and "_target_" in v))}
     nested = [k for k, v in plain.items() if isinstance(v, dict) and "_target_" in v]
     yield from signature_problems(target, given, name, elsewhere=nested, partial=bool(plain.get("_partial_")))
+
+
+def _missing_weights(plain: dict[Any, Any]) -> Iterator[Problem]:
+    """Yield the problem of a file of LPIPS's weights that is not there: it is read only after the training."""
+    lpips = (plain.get("metrics") or {}).get("lpips") or {}
+    weights = lpips.get("weights") if isinstance(lpips, dict) else None
+    if isinstance(weights, str) and not Path(weights).is_file():
+        yield Problem("metrics.lpips.weights", "there is no such file", weights)
 
 
 def _import(path: str) -> Any:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
+import re
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -70,7 +71,7 @@ def signature_problems(
     for option in [*options, *elsewhere]:
         parameter, value = parameters.get(option, others), options.get(option)
         if parameter is None or parameter.kind is parameter.VAR_POSITIONAL:
-            known = ", ".join(p.name for p in named)
+            known = ", ".join(p.name for p in named) or "none"
             problems.append(Problem(f"{name}.{option}", f"is no option; there are {known}", value))
         elif option in options:
             problems += type_problems(hints.get(parameter.name, Any), value, f"{name}.{option}")
@@ -82,6 +83,8 @@ def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
 
     >>> [str(problem) for problem in type_problems(int, 2.5, "seed")]
     ['seed=2.5: must be a valid integer']
+    >>> [str(problem) for problem in type_problems(bool | Literal["auto"], "maybe", "rig")]
+    ['rig=maybe: must be a valid boolean or auto']
     """
     if not _is_plain(hint):
         return [*_not_options(hint, value, name), *not_finite(value, name)]
@@ -93,8 +96,15 @@ def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
 
 
 def pydantic_problems(error: ValidationError, name: str) -> list[Problem]:
-    """Return problems that pydantic found in the options below `name`."""
-    return [_problem(problem, name) for problem in error.errors(include_url=False)]
+    """Return problems that pydantic found in the options below `name`; one where an option may have several types."""
+    found: dict[tuple[int | str, ...], Problem] = {}
+    for kind in error.errors(include_url=False):
+        place = kind["loc"][:-1] if kind["loc"] and OF_TYPE.fullmatch(str(kind["loc"][-1])) else kind["loc"]
+        problem = _problem(kind | {"loc": place}, name)
+        if place in found:
+            problem = problem._replace(what=f"{found[place].what} or {problem.what.removeprefix('must be ')}")
+        found[place] = problem
+    return list(found.values())
 
 
 def not_finite(value: Any, name: str) -> Iterator[Problem]:
@@ -171,6 +181,8 @@ def _problem(error: ErrorDetails, name: str) -> Problem:
     return Problem(option, what, None if kind == "missing" else value)
 
 
+# The end of the place of a pydantic error, where an option may have several types.
+OF_TYPE = re.compile(r"bool|int|float|str|none|(literal|list|dict|constrained|function|nullable)\W.*")
 WORDS = {  # by pydantic's type of error, where its own message does not name options
     "missing": "is missing",
     "extra_forbidden": UNKNOWN,

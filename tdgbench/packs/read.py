@@ -36,6 +36,8 @@ def unpack(path: Path, folder: Path) -> tuple[Manifest, str]:
     """
     if folder.exists():
         raise FileExistsError(f"{folder} is there already; name a new folder")
+    if not path.exists():
+        raise FileNotFoundError(f"{path} does not exist")
     try:
         with zipfile.ZipFile(path) as archive, whole_folder(folder) as part:
             return _extract(archive, part)

@@ -19,6 +19,7 @@ from tdgbench.bench.options import check_options
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import read_plan
 from tdgbench.bench.record import Record, read_each
+from tdgbench.experiments.experiment import error_message
 from tdgbench.experiments.sweep.finish import write_all
 from tdgbench.files import whole_folder
 from tdgbench.packs import opened_pack
@@ -111,6 +112,6 @@ def read_options(words: list[str]) -> Chosen:
         with initialize_config_dir(str(conf_folder()), version_base="1.3"):
             cfg = compose("config", overrides=words)
     except HydraException as error:
-        raise ValueError(str(error)) from error
+        raise ValueError(error_message(error, words)) from error
     check_options(cfg)
     return Chosen(relevant_metrics(as_json(OmegaConf.to_container(cfg.metrics))), cfg.metrics.lpips.download)

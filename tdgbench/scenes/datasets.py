@@ -160,10 +160,12 @@ class FolderDataset(Outlines):
     def explain_missing(self, names: list[str]) -> str:
         if not is_there(self._root()):
             return f"{', '.join(names)} not found: {self._root()} does not exist; set data.root=DIR"
-        there = ", ".join(self.names()) or "none"
+        there = ", ".join(self.names())
+        if there and not any(is_folder(self._root() / name) for name in names):
+            return f"{', '.join(names)} not found in {self._root()}; scenes there: {there}"
         layouts = "; ".join(layout.looks for layout in ([self.layout] if self.layout else LAYOUTS.values()))
         return (
-            f"{', '.join(names)} not found in {self._root()} (scenes there: {there}). Set data.root=DIR to a scene or "
+            f"{', '.join(names)} not found in {self._root()} (scenes there: {there or 'none'}). Set data.root=DIR to a scene or "
             f"to a folder of scenes whose names do not begin with a dot; a scene is a folder with {layouts}"
         )
 
@@ -172,7 +174,9 @@ class FolderDataset(Outlines):
         if self._is_scene(root):
             check_scene_name(root.resolve().name)
         names = self.names()
-        if name is None and len(names) != 1:
+        if name is None and len(names) > 1:
+            raise SceneError(f"{root} holds {len(names)} scenes: {', '.join(names)}; name one of them: scene=…")
+        if name is None and not names:
             wanted = ["a scene (scene=…)"]
             raise MissingScenesError(wanted, self.explain_missing(wanted))
         title = "folder" if self.layout is None else self.layout.title

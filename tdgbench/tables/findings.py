@@ -9,6 +9,7 @@ from collections.abc import Iterable
 
 import pandas as pd
 
+from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.claims import THE_PAPER
 from tdgbench.tables.claims.evidence import FAILS, HOLDS
@@ -20,7 +21,7 @@ from tdgbench.tables.statistics import MethodComparison
 from tdgbench.tables.verdicts import ONE_SEED, REPRODUCED, UNDECIDED, WORDS, comparable, seeds_in_words
 from tdgbench.text import one_line
 
-SYNTHETIC, CAPTURE = "synthetic", "folder"  # data sets
+SYNTHETIC, CAPTURE = "synthetic", "folder"  # data sets; the first begins the names of several
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
 
 
@@ -47,11 +48,16 @@ def findings_of_ablation(main: pd.DataFrame, difference: pd.DataFrame | None) ->
 def _caveats(main: pd.DataFrame) -> Iterable[str]:
     """Yield what the findings of a main table are no evidence of."""
     scenes = main[~main["scene"].isin((AVERAGE, OVERALL))]
-    once = f", and one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
-    if set(scenes["dataset"]) == {CAPTURE}:
-        yield f"These scenes are your capture, so no published score is beside them{once}"
-    elif set(scenes["dataset"]) == {SYNTHETIC}:
-        yield f"These scenes are built in, so this is no evidence on the paper's claims{once}"
+    once = f"one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
+    data_sets = set(scenes["dataset"])
+    if data_sets == {CAPTURE}:
+        what = "These scenes are your capture, so no published score is beside them"
+    elif all(name.startswith(SYNTHETIC) for name in data_sets):
+        what = "These scenes are built in, so this is no evidence on the paper's claims"
+    else:
+        what = "" if data_sets & set(DATASETS.values()) else "No published score is beside these scenes"
+    if what:
+        yield f"{what}, and {once}" if once else what
 
 
 def published(differences: pd.DataFrame) -> str:

@@ -6,11 +6,13 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from tdgbench.bench.key import flat
 from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.plan import Plan, read_plan
 from tdgbench.bench.protocol import protocols_apart
 from tdgbench.bench.record import FILE, READ_PHASE, Failure, Record, read_each
 from tdgbench.bench.scores import read_views
+from tdgbench.bench.signature import as_typed
 
 UNNAMED = "single"  # `name` in conf/config.yaml: runs of any scenes, which make no table together
 
@@ -53,7 +55,32 @@ def read_results(experiment: Path) -> Results:
     if experiment.absolute().name == UNNAMED and plan.scenes:
         scenes = {(scene.dataset, scene.scene) for scene in plan.scenes}
         records = [record for record in records if (record.dataset, record.scene) in scenes]
+    problems += _trained_apart(records)
     return Results(plan, _of_one_protocol(records, problems), problems)
+
+
+def _trained_apart(records: list[Record]) -> list[str]:
+    """Return a problem for each cell whose seeds have other options, so that their mean is of unlike trainings."""
+    cells: dict[tuple[str, ...], list[Record]] = {}
+    for record in records:
+        if record.failure is None:
+            place = (record.method, record.dataset, record.scene, record.init, record.variant)
+            cells.setdefault(place, []).append(record)
+    problems = []
+    for cell in cells.values():
+        options = [flat({k: v for k, v in record.config.items() if k != "metrics"}) for record in cell]
+        apart = [
+            name for name in options[0]
+            if name.rpartition(".")[2] != "seed" and len({as_typed(one.get(name)) for one in options}) > 1
+        ]  # fmt: skip
+        if apart:
+            values = ", ".join(dict.fromkeys(as_typed(one.get(apart[0])) for one in options))
+            more = f" and {len(apart) - 1} more" if len(apart) > 1 else ""
+            problems.append(
+                f"{cell[0].title}: its seeds have different options ({apart[0]}: {values}{more}), and tables show "
+                "their mean: run them with the same, or delete those that are not meant"
+            )
+    return problems
 
 
 def _of_one_protocol(records: list[Record], problems: list[str]) -> list[Record]:

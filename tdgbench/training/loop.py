@@ -77,6 +77,8 @@ def train(
                 for part in trainer.parts.values():
                     part.begin(iteration)
                 step = trainer.stage.step(iteration)
+                if not isinstance(step, Step):
+                    raise TypeError(f"the method's step returned {type(step).__name__}; it must return a Step")
                 ends_stage = _ends(trainer, iteration, _checked_loss(step, trainer, iteration))
                 log.iterations += 1
                 log.ended = ends_stage and trainer.is_last_stage

@@ -103,6 +103,10 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
      "dataset.loader.errors: is no option; there are root, options, layout; it belongs to dataset=drifting, synthetic"),
     ("method=tgd", "method=tgd: there is no such method; did you mean tdg? (there are 3dgs,"),
     ("+experiment=tabel1", "experiment=tabel1: there is no such experiment; did you mean table1? (there are budgets,"),
+    ("metrics.lpips.weights=none.pth", "metrics.lpips.weights=none.pth: there is no such file"),
+    ("thermal_camera.rig=maybe", "thermal_camera.rig=maybe: must be a valid boolean or auto"),
+    ("method.method._target_=pathlib.Path",
+     "method.method._target_=pathlib.Path: must be a class that derives from tdgbench.training.method.Method"),
     ("study._target_=nosuch.Class", "study._target_=nosuch.Class: cannot be loaded: Error loading 'nosuch.Class'"),
 ])  # fmt: skip
 def test_what_there_is_not_is_one_line_with_what_there_is(tmp_path, word, said):

@@ -206,7 +206,7 @@ def test_weights_that_were_replaced_are_refused(msmg, capsys, monkeypatch):
     ("words", "why"),
     [
         (["data.width=64"], "data.width=64 decides what is read or trained"),
-        (["metrics=mine"], "metrics"),
+        (["metrics=mine"], "metrics=mine: there is no such metrics (there are 3dgs, standard)"),
         (["metrics.border=valid"], "border"),
         (["metrics.ssim_border=wide"], "metrics.ssim_border"),
     ],

@@ -36,6 +36,8 @@ def scenes(folder, tmp_path):
 
 def test_names_of_digits(scenes):
     assert scenes.describe("1").scene == "1" and scenes.load("1_0").name == "1_0" and scenes.load("a b").name == "a b"
+    with pytest.raises(SceneError, match=r"root holds 6 scenes: 007, 1, 1_0, .*; name one of them: scene="):
+        scenes.load(None)
     with pytest.raises(MissingScenesError, match=r"10 not found .*scenes there: 007, 1, 1_0, "):
         scenes.load("10")
 

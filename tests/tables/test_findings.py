@@ -122,6 +122,16 @@ def test_a_capture_alone(tmp_path):
     assert (tmp_path / "tables" / "findings.txt").read_text(encoding="utf-8").splitlines() == found
 
 
+@pytest.mark.parametrize(
+    ("dataset", "said"),
+    [("synthetic_degC", "These scenes are built in, so this is no evidence on the paper's claims"),
+     ("ThermoScenes", "No published score is beside these scenes")],
+)  # fmt: skip
+def test_other_data_sets(tmp_path, dataset, said):
+    write(tmp_path, scene="attic", dataset=dataset)
+    assert build_tables(tmp_path).findings[-1] == f"{said}, and one seed decides nothing: run `seed=0,1,2`"
+
+
 def test_a_failed_cell_alone_finds_nothing(tmp_path):
     write(tmp_path, scene="attic", dataset="folder", status="failed", failure=Failure("train", "ValueError: no", ""))
     assert build_tables(tmp_path).findings == []

@@ -110,6 +110,13 @@ def test_the_clock_stands_still_while_someone_looks(small_scene):
     assert all(before < after for before, after in itertools.pairwise(busy)) and log.processor_seconds >= busy[-1]
 
 
+def test_what_is_no_step_is_named(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "3dgs", 3)
+    trainer.stages[0] = trainer.stages[0]._replace(step=lambda iteration: torch.zeros(()))
+    with pytest.raises(TypeError, match="the method's step returned Tensor; it must return a Step"):
+        train(trainer)
+
+
 def test_a_model_without_gaussians_stops(small_scene):
     with pytest.raises(EmptyModelError, match="no Gaussian is left after density control at iteration 40"):
         trained(small_scene, "3dgs", 60, **{"budget.density.min_opacity": 0.9999})

@@ -48,6 +48,7 @@ def _gain(new: float, old: float, metric: str) -> float:
 
 def relative_gain(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the average of `metric` is `percent` better."""
+    _of_paper(evidence)
     metric, percent = claim["metric"], claim["percent"]
     new, old = _pair(evidence, evidence.overall, metric)
     tolerance, half = _tolerance(evidence, metric, OVERALL), printed_half_unit(percent)
@@ -187,6 +188,8 @@ def bold_follows(_claim: Claim, evidence: ClaimEvidence) -> Finding:
     table = evidence.main.reset_index(drop=True)
     made = with_bold(table.drop(columns="bold"))
     marked = table["metric"].isin(PUBLISHED)
+    if not marked.any():
+        raise MissingError("no scene has both methods")
     odd = table[(made["bold"].to_numpy() != table["bold"].to_numpy()) & marked]
     places = list(dict.fromkeys(f"{row.scene} {row.metric}" for row in odd.itertuples()))
     return Finding(FAILS if places else HOLDS, ", ".join(places) if places else "every mark follows")

@@ -80,10 +80,16 @@ def test_mixed_is_better_here_and_worse_there():
 def test_numbers_for_the_papers_scenes_say_nothing_of_others():
     table = published_main()
     table["dataset"] = table["dataset"].replace({"ThermalMix": "synthetic"})
-    for claim in ("psnr-averages", "time-minutes"):
+    for claim in ("psnr-averages", "time-minutes", "psnr-better", "time-percent"):
         found = check_claim(CLAIMS[claim], ClaimEvidence(table, None, printed=False))
         assert (found.verdict, found.grounds) == (UNDECIDED, "a number for the paper's scenes, which these are not")
-        assert check_claim(CLAIMS[claim], ClaimEvidence(published_main(), None, printed=False)).verdict == HOLDS
+        assert check_claim(CLAIMS[claim], ClaimEvidence(published_main(), None, printed=False)).verdict != UNDECIDED
+
+
+def test_a_table_without_both_methods_has_no_marks_that_could_follow():
+    empty = ClaimEvidence(published_main().iloc[:0], None, printed=False)
+    found = check_claim(CLAIMS["bold-follows"], empty)
+    assert (found.verdict, found.grounds) == (UNDECIDED, "no scene has both methods")
 
 
 def test_with_one_data_set_its_average_stands_for_all():
