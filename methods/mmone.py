@@ -89,13 +89,10 @@ class MultimodalControl(DensityControl):
     def removed_and_added(
         self, change: DensityChange, iteration: int, generator: torch.Generator, decision: GrowthDecision | None
     ) -> tuple[Tensor, Tensor]:
-        """Decompose; then clone, split and prune the others. Added rows: copies, clones, children.
-
-        A decision about growth looks at thermal images alone: it cannot prune what RGB keeps.
-        """
+        """Decompose; then clone, split and prune the others. Added rows: copies, clones, children."""
         rules, values = self.rules, self.state.values
         by_gradients = self._by_gradients()
-        strength, grow, faint, rounds, at_camera = decision or by_gradients
+        strength, grow, at_camera = decision or by_gradients
         rejected = by_gradients.grow & ~grow
         decomposed = self._decomposed(by_gradients.strength)
         if rules.max_gaussians is not None:
@@ -109,8 +106,7 @@ class MultimodalControl(DensityControl):
             self._switch_off("opacity_logits", decomposed)
             self._switch_off("opacity_logits", self._is_spared_without("thermal"))
             self._switch_off(OPACITY_RGB, self._is_spared_without("rgb"))
-        faint = faint & (_opacities(self.state.split(values))["rgb"] <= rules.kept_opacity)
-        decision = GrowthDecision(strength, grow, faint, rounds, at_camera)
+        decision = GrowthDecision(strength, grow, at_camera)
         removed, added = super().removed_and_added(change, iteration, generator, decision)
         spared = decomposed[removed]
         change.cloned += len(copies)

@@ -165,8 +165,9 @@ class FolderDataset(Outlines):
             return f"{', '.join(names)} not found in {self._root()}; scenes there: {there}"
         layouts = "; ".join(layout.looks for layout in ([self.layout] if self.layout else LAYOUTS.values()))
         return (
-            f"{', '.join(names)} not found in {self._root()} (scenes there: {there or 'none'}). Set data.root=DIR to a scene or "
-            f"to a folder of scenes whose names do not begin with a dot; a scene is a folder with {layouts}"
+            f"{', '.join(names)} not found in {self._root()} (scenes there: {there or 'none'}). Set data.root=DIR to a "
+            "scene or to a folder of scenes whose names do not begin with a dot; a scene is a folder with "
+            f"{layouts}"
         )
 
     def describe(self, name: str | None) -> Description:

@@ -109,12 +109,10 @@ class DensityChange:
 
 
 class GrowthDecision(NamedTuple):
-    """Which of N Gaussians grow, and which are pruned: at cameras, or for next to no weight in a round's views."""
+    """Which of N Gaussians grow, and which are pruned."""
 
     strength: Tensor  # (N,): if not all can grow, the strongest do
     grow: Tensor  # (N,) bool
-    faint: Tensor  # (N,) bool
-    rounds: int  # that look at every training view once; a Gaussian that is faint in so many in a row is pruned
     at_camera: Tensor  # (N,) bool: a camera stands in it
 
 
@@ -272,9 +270,7 @@ class DensityControl:
         clone, split = (grow & small).nonzero().squeeze(1), (grow & ~small).nonzero().squeeze(1)
         change.cloned, change.split = len(clone), len(split)
 
-        faint_rounds = self.state.faint_rounds
-        faint_rounds.copy_(torch.where(decision.faint, faint_rounds + 1, 0))
-        remove = self._is_transparent(old) | (faint_rounds >= decision.rounds) | decision.at_camera
+        remove = self._is_transparent(old) | decision.at_camera
         if iteration > rules.opacity_reset_every:
             remove |= largest > rules.max_world_scale * self.extent
             if rules.screen_radius_prune:
@@ -298,8 +294,7 @@ class DensityControl:
         total = self.absolute_sum if self.rules.uses_absolute else self.grad_sum
         grads = torch.nan_to_num(total / self.view_counts)
         grow = grads >= self.rules.grad_threshold
-        none = torch.zeros_like(grow)
-        return GrowthDecision(grads, grow, none, 1, none)
+        return GrowthDecision(grads, grow, torch.zeros_like(grow))
 
     def _children(self, parents: Tensor, generator: torch.Generator) -> Tensor:
         """Split parents (n, columns) into smaller Gaussians (split_into · n, columns), at positions drawn from them."""

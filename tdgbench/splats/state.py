@@ -21,7 +21,7 @@ GROWTH_ON_GPU = 1.5  # where it does
 REORDER_AT = 1.25  # times as many Gaussians as when they were last ordered in space
 AXIS_BITS = 21
 CHUNK_ROWS = 100_000  # converted to double precision at once
-ROWS = ("_values", "_first", "_second", "_bounds", "_clocks", "_faint")  # arrays with one row per Gaussian
+ROWS = ("_values", "_first", "_second", "_bounds", "_clocks")  # arrays with one row per Gaussian
 
 
 class StateArrays(NamedTuple):
@@ -51,7 +51,6 @@ class TrainingState:
         shape = (max(count, 1), padded(self.columns))
         self._values, self._first, self._second = (_allocate(like, shape).zero_() for _ in range(3))
         self._clocks = torch.zeros(shape[0], 2, dtype=torch.int32, device=like.device)
-        self._faint = torch.zeros(shape[0], 1, dtype=torch.int32, device=like.device)
         self.now = 0  # steps of the optimiser so far
         self.values[:] = self.rows_of(gaussians)
         self._bounds = _bounds_of(self._values)
@@ -87,11 +86,6 @@ class TrainingState:
     def clocks(self) -> Tensor:
         """(N, 2) int32: steps up to which moments and parameters are current."""
         return self._clocks[: self.count]
-
-    @property
-    def faint_rounds(self) -> Tensor:
-        """(N,) int32: in how many of the last rounds of density control it was faint."""
-        return self._faint[: self.count, 0]
 
     def arrays(self) -> StateArrays:
         """Return the rows as NumPy arrays, which share the memory of float32 rows on the CPU."""
@@ -152,14 +146,14 @@ class TrainingState:
         targets = torch.cat([removed[:n_added], appended])
         for array, rows in ((self._values, added), (self._bounds, _bounds_of(added))):
             array[targets] = rows
-        for array in (self._first, self._second, self._faint):
+        for array in (self._first, self._second):
             array[targets] = 0
         if end < self.count:
             holes = removed[n_added:]
             stays = torch.ones(self.count - end, dtype=torch.bool, device=holes.device)
             stays[holes[holes >= end] - end] = False
             last = stays.nonzero().squeeze(1) + end
-            for array in (self._values, self._bounds, self._first, self._second, self._faint):
+            for array in (self._values, self._bounds, self._first, self._second):
                 array[holes[holes < end]] = array[last]
         self.count, self._arrays = end, None
         self._clocks[:end] = self.now
@@ -172,7 +166,7 @@ class TrainingState:
         All rows must be current.
         """
         order = _z_order(self.values[:, MEANS])
-        for array in (self._values, self._bounds, self._first, self._second, self._faint):
+        for array in (self._values, self._bounds, self._first, self._second):
             for some in array.split(ALIGNMENT, dim=1):  # a copy of all columns at once would double the memory
                 some[: self.count] = some.index_select(0, order)
         self._ordered_at = self.count

@@ -20,7 +20,6 @@ class GrowthRule:
     views: PositiveInt  # training views that a round renders
     z: NonNegativeFloat  # standard deviations of noise by which the halves of a Gaussian that grows differ
     share: Annotated[float, Field(gt=0, le=1)]  # of the gain that these promise, which the strongest that grow make up
-    min_weight: NonNegativeFloat  # px of full size per view that shows a Gaussian; one with less is faint
     clearance: NonNegativeFloat  # standard deviations between a Gaussian's centre and a camera; others are pruned
 
 

@@ -14,7 +14,6 @@ the squared error. So those grow, the strongest first, that together make up `sh
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import cached_property
 from typing import NamedTuple
@@ -43,7 +42,7 @@ FAINTER = 0.5 / NARROWER  # opacity of a half: both together have the Gaussian's
 
 
 class GrowthTest:
-    """Decides which Gaussians of a model grow and which are faint, by a rule of the budget."""
+    """Decides which Gaussians of a model grow, by a rule of the budget."""
 
     def __init__(
         self,
@@ -69,10 +68,7 @@ class GrowthTest:
 
     @torch.no_grad()
     def decide(self, gaussians: Gaussians, degree: int, round_number: int) -> GrowthDecision:
-        """Return which Gaussians grow, and which are faint in the round's views. degree: of the harmonics in use.
-
-        A wall may hide a room from the views of one round, so that what is faint in them may be all that others show.
-        """
+        """Return which Gaussians grow, by the round's views, and which go. degree: of the harmonics in use."""
         views, weight = gaussians.means.new_zeros(2, len(gaussians))
         difference = gaussians.means.new_zeros(len(gaussians), gaussians.channels)
         active, sum_halves = gaussians.activated(degree), sums_of_halves(gaussians, self.backend)
@@ -86,10 +82,7 @@ class GrowthTest:
         strength = gain.sqrt() / self.noise
         grow = strength > self.rule.z
         grow = strongest(grow, gain, fewest(gain[grow], self.rule.share))
-        is_faint = self.curriculum.scale**2 * weight < self.rule.min_weight * views
-        rounds = math.ceil(len(self._views) / self.rule.views)
-        is_faint &= views >= FEWEST_VIEWS
-        return GrowthDecision(strength, grow, is_faint, rounds, self.at_cameras(gaussians))
+        return GrowthDecision(strength, grow, self.at_cameras(gaussians))
 
     def at_cameras(self, gaussians: Gaussians) -> Tensor:
         """Return which Gaussians (N,) have a training camera, held out or not, within `clearance` of their centre.

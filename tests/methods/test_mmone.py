@@ -7,7 +7,7 @@ import torch
 
 from methods.mmone import OPACITY_RGB, SH_RGB, with_rgb
 from tdgbench.splats.backends import load_backend
-from tdgbench.splats.density import DensityChange, GrowthDecision
+from tdgbench.splats.density import DensityChange
 from tdgbench.splats.view import Pinhole, RenderOptions
 from tdgbench.training.images import RGB, THERMAL
 from tdgbench.training.losses import photometric, thermal_loss
@@ -165,15 +165,6 @@ def test_pruning_spares_what_one_modality_needs(model, rgb, thermal, kept, stays
         expected = [OFF if decompose == "described" and min(rgb, thermal) < 0.005 and of < 0.005 else of for of in
                     (rgb, thermal)]  # fmt: skip
         assert found == pytest.approx([min(of, 0.7310586) for of in expected], rel=1e-5)
-
-
-def test_a_decision_by_thermal_images_cannot_prune_what_rgb_keeps(model):
-    count = len(model)
-    model.gaussians.extra_fields[OPACITY_RGB][: count // 2] = -3.0
-    all_of = torch.ones(count, dtype=torch.bool)
-    model.density.grad_sum[:] = 0
-    change = round_of(model, GrowthDecision(torch.zeros(count), ~all_of, all_of, 1, ~all_of))
-    assert change.pruned == count // 2
 
 
 def test_a_reset_lowers_both_opacities_and_neither_takes_a_step(small_gray_scene):

@@ -1,5 +1,4 @@
 import dataclasses
-from collections.abc import Set
 
 import pytest
 import torch
@@ -118,40 +117,13 @@ def test_cap_keeps_the_hottest(rules):
     assert change.cloned == 1 and rows_of(result, [last]) == [2]
 
 
-def decided(density: DensityControl, faint: Set[int], at_camera: Set[int] = frozenset()) -> int:
-    """Number of Gaussians after a round without growth; those at x in `faint`, `at_camera` are. 2 rounds show all."""
-    state = density.state
-    x = state.split(state.values).means[:, 0].round().int().tolist()
-    none = torch.zeros(len(x))
-    chosen, near = (torch.tensor([number in of for number in x]) for of in (faint, at_camera))
-    optimizer, generator = Adam(state, RATES, EXTENT), torch.Generator().manual_seed(0)
-    density.update(optimizer, 600, generator, GrowthDecision(none, none > 0, chosen, 2, near))
-    return len(state)
-
-
-def test_what_is_faint_in_rounds_that_show_all_views_is_pruned(rules):
-    density = control(rules)
-    assert decided(density, {0, 3}) == 4  # without the transparent one
-    restored = DensityControl(rules, EXTENT, density.state, iterations=30_000)
-    restored.load_state_dict(density.state_dict())
-    assert decided(restored, {3}) == 3
-    assert decided(restored, {0}) == 3  # the round before showed it
-    assert decided(restored, {0}) == 2
-
-
-@pytest.mark.parametrize("sorts", [False, True])
-def test_faint_rounds_are_counted_for_the_same_gaussian_wherever_its_row_is(rules, sorts):
-    """The last row fills the hole of the first; sorting in space moves it back."""
-    density = control(rules)
-    assert decided(density, {12}, at_camera={0}) == 3  # without the transparent one
-    if sorts:
-        density.state.order_in_space()
-    assert density.state.values[0, 0] == (3 if sorts else 12)
-    assert decided(density, {12}) == 2 and density.state.values[:, 0].max() == 6
-
-
 def test_what_holds_a_camera_is_pruned_at_once(rules):
-    assert decided(control(rules), set(), {0, 3}) == 2
+    density = control(rules)
+    none = torch.zeros(5)
+    optimizer, generator = Adam(density.state, RATES, EXTENT), torch.Generator().manual_seed(0)
+    at_camera = torch.tensor([True, False, False, True, False])  # the fourth is transparent, too
+    density.update(optimizer, 600, generator, GrowthDecision(none, none > 0, at_camera))
+    assert sorted(density.state.values[:, 0].tolist()) == [3, 6, 12]
 
 
 def test_everything_may_be_pruned(rules):

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.scenes import Camera, View
+from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
-from tdgbench.splats.density import GrowthDecision
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole
 from tdgbench.training.budget import GrowthRule
@@ -15,7 +14,7 @@ from tdgbench.training.growth import GrowthTest, footprints, split_in_halves, su
 from tdgbench.training.images import RGB, THERMAL
 from tests.helpers.footprints import drift, edge, two, view_of, views
 
-RULE = GrowthRule(views=10, z=5.0, share=1.0, min_weight=0.0, clearance=3.0)
+RULE = GrowthRule(views=10, z=5.0, share=1.0, clearance=3.0)
 
 
 def judge(views, gaussians=None, rule=RULE, modality=THERMAL, curriculum=None):
@@ -106,16 +105,6 @@ def test_colours_of_one_brightness_are_told_apart():
 
 def test_one_view_decides_nothing():
     assert not judge(views(edge, count=1)).grow.any()
-
-
-def test_what_has_no_weight_is_faint():
-    rule = dataclasses.replace(RULE, min_weight=1.0)
-    assert judge(views(edge), rule=rule).faint.tolist() == [False, False]
-    hidden = two()
-    hidden.log_scales[1] -= 5.0
-    hidden.opacity_logits[1] = -3.5
-    assert judge(views(edge), hidden, rule).faint.tolist() == [False, True]
-    assert not judge(views(edge, count=1), hidden, rule).faint.any()
 
 
 def test_a_gaussian_in_which_a_camera_stands_is_pruned_even_if_that_view_is_held_out():
@@ -219,38 +208,3 @@ def test_a_gaussian_out_of_sight_says_nothing():
     gaussians.means[1] = torch.tensor([0.0, 0.0, -9.0])
     seen = seen_in(gaussians, torch.ones(32, 32, 1))
     assert seen.visible.tolist() == [True, False] and seen.weight[1] == 0
-
-
-def two_rooms() -> tuple[Gaussians, list[View]]:
-    """A wall of five opaque Gaussians, one behind it, and 44 views: 41 before the wall, three in the room behind it."""
-    wall = torch.tensor([[0.0, 0.0, 0.1 * layer] for layer in range(5)])
-    gaussians = Gaussians(
-        means=torch.cat([wall, torch.tensor([[0.0, 0.0, 3.0]])]),
-        log_scales=torch.tensor([[3.0, 3.0, 0.02]] * 5 + [[0.1, 0.1, 0.1]]).log(),
-        quats=torch.tensor([[1.0, 0, 0, 0]]).repeat(6, 1), opacity_logits=torch.tensor([0.99] * 5 + [0.5]).logit(),
-        sh=torch.zeros(6, 1, 1),
-    )  # fmt: skip
-    made = []
-    for number in range(44):
-        pose = np.eye(4)
-        pose[:3, 3] = (0.01 * (number % 7), 0.01 * (number % 5), 2.0 if number < 41 else -1.0)
-        taken = dataclasses.replace(camera(), world_to_camera=pose)
-        made.append(view_of(str(number), taken, np.full((32, 32, 1), 0.5, np.float32), None))
-    return gaussians, made
-
-
-def test_a_room_that_the_views_of_a_round_do_not_show_is_not_faint_in_all_rounds():
-    """A wall hides the other room's Gaussian in every view of most rounds, though it is within their frames."""
-    gaussians, given = two_rooms()
-    decisions = [judge_round(gaussians, given, number) for number in range(10)]
-    faint = [bool(decision.faint[5]) for decision in decisions]
-    rounds = decisions[0].rounds
-    assert faint[0] and rounds == 5
-    assert not any(all(faint[first : first + rounds]) for first in range(len(faint) - rounds + 1))
-    gaussians.log_scales[5], gaussians.opacity_logits[5] = -8.0, -6.0
-    assert all(judge_round(gaussians, given, number).faint[5] for number in range(rounds))
-
-
-def judge_round(gaussians: Gaussians, given: list[View], number: int) -> GrowthDecision:
-    rule = dataclasses.replace(RULE, min_weight=0.05)
-    return GrowthTest(rule, given, THERMAL, Curriculum(), "cpu").decide(gaussians, 0, number)
