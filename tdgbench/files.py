@@ -16,6 +16,8 @@ def whole_file(path: Path) -> Iterator[Path]:
 
     An error removes the partial file and leaves `path` untouched.
     """
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path} cannot be written: {path.parent} is no folder")
     part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     with named_errors(path):
         try:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import sysconfig
 import traceback
+from pathlib import Path
 from urllib.error import URLError
 
 import torch
@@ -66,6 +68,15 @@ def message(error: BaseException) -> str:
     'MemoryError: Unable to allocate 8 GiB (out of memor'
     """
     return _text(error) if isinstance(error, EXPECTED_ERRORS) else f"{type(error).__name__}: {_text(error)}"
+
+
+def place_of(error: BaseException) -> str:
+    """Return ` (file, line n)` of the last code that is no installed package's, for an error that nobody expected."""
+    installed = tuple(sysconfig.get_path(name) for name in ("purelib", "platlib", "stdlib"))
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if not frame.filename.startswith(installed)]
+    if isinstance(error, (OSError, MemoryError, *EXPECTED_ERRORS)) or not frames:
+        return ""
+    return f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
 
 
 def _text(error: BaseException) -> str:

@@ -225,6 +225,13 @@ def record_files(experiment: Path) -> list[Path]:
     return [path for path in paths if not any(part.startswith(".") for part in path.relative_to(experiment).parts)]
 
 
+def no_records(experiment: Path) -> ValueError:
+    """Return the error of a folder without records."""
+    if experiment.is_dir():
+        return ValueError(f"{experiment} holds no records; run an experiment first")
+    return ValueError(f"{experiment} is {'no folder' if experiment.exists() else 'not there'}")
+
+
 def schema_problems(text: str) -> list[str]:
     """Return reasons why the JSON text of a record does not fit `Record`; none if it does.
 

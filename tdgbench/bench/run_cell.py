@@ -106,7 +106,7 @@ def _keep_failure(error: BaseException, run: CellRun | None) -> str:
 
     Without a run, since its options name no cell, there is no record.
     """
-    message = failures.message(error)
+    message = failures.message(error) + failures.place_of(error)
     if run is None:
         return message
     phase = run.current

@@ -10,7 +10,7 @@ from pathlib import Path
 from tdgbench import __version__
 from tdgbench.bench import plan
 from tdgbench.bench.read_files import check_regular
-from tdgbench.bench.record import FILE, record_files
+from tdgbench.bench.record import FILE, no_records, record_files
 from tdgbench.bench.stored import cell_files
 from tdgbench.files import whole_file
 from tdgbench.packs import manifest
@@ -64,7 +64,7 @@ def _paths(experiment: Path) -> dict[str, Path]:
     """Return the files of a pack, by relative path. Raises ValueError without records."""
     records = record_files(experiment)
     if not records:
-        raise ValueError(f"{experiment} holds no records; run an experiment first")
+        raise no_records(experiment)
     paths = [experiment / plan.FILE] if (experiment / plan.FILE).exists() else []
     for record in records:
         paths += [record, *cell_files(record.parent).values()]

@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 
 from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import Record
+from tdgbench.bench.record import Record, no_records
 from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
@@ -57,7 +57,7 @@ def build_tables(experiment: Path) -> Tables:
     """
     results = read_results(experiment)
     if not results.records and not results.plan.scenes:
-        raise ValueError(f"{experiment} holds no records; run an experiment first")
+        raise no_records(experiment)
     tables = (_ablation if results.plan.table == "ablation" else _main)(results, experiment)
     _write(tables)
     return tables

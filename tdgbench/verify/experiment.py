@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.record import FILE, record_files
+from tdgbench.bench.record import FILE, no_records, record_files
 from tdgbench.packs import opened_pack
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
@@ -52,11 +52,9 @@ def main(arguments: list[str]) -> int:
 
 def verify(experiment: Path) -> Verification:
     """Check every cell of an experiment. Raises ValueError if there are none."""
-    if not experiment.is_dir():
-        raise ValueError(f"{experiment} is {'no folder' if experiment.exists() else 'not there'}")
     records, lost = record_files(experiment), _without_record(experiment)
     if not records and not lost:
-        raise ValueError(f"{experiment} holds no records; run an experiment first")
+        raise no_records(experiment)
     problems, finished = [], 0
     for folder in (path.parent for path in records):
         found = Problems()

@@ -23,6 +23,7 @@ def recursion(self, iteration):
         (fails(SystemExit(3)), "its code ended the process with status 3"),
         (fails(MemoryError()), "smaller images (data.width=…)"),
         (recursion, "RecursionError"),
+        (recursion, "(test_failures.py, line "),
     ],
 )
 def test_what_is_hardly_an_error_fails_the_cell(tiny_cell, monkeypatch, step, said):

@@ -140,7 +140,8 @@ def test_names_may_be_whole_numbers():
 
 
 def test_parameters_of_a_plug_in_without_annotations_must_be_finite(tmp_path, monkeypatch):
-    code = "class Mine:\n    def __init__(self, weight, other=()):\n        pass\n"
+    code = "from tdgbench.training.method import Method\n"
+    code += "class Mine(Method):\n    def __init__(self, weight, other=()):\n        pass\n"
     (tmp_path / "mine_without.py").write_text(code, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     cfg = config()

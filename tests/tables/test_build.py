@@ -137,7 +137,10 @@ def test_command(tmp_path, capsys):
     assert main([str(tmp_path)]) == 0
     assert "Truck" in capsys.readouterr().out
     assert main([str(tmp_path / "nothing")]) == 1
-    assert "holds no records" in capsys.readouterr().err
+    assert "nothing is not there" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert main([str(tmp_path / "empty")]) == 1
+    assert "empty holds no records" in capsys.readouterr().err
 
 
 def test_claims_command(tmp_path, capsys):

@@ -164,4 +164,4 @@ def test_claims_go_on_without_a_broken_record(experiment, capsys):
 def test_a_folder_without_tables_does_not_hide_the_others(experiment, tmp_path, capsys):
     assert main([str(tmp_path / "[red]"), str(experiment)]) == 1
     out, err = capsys.readouterr()
-    assert "[red] holds no records" in err and "21.00" in out
+    assert "[red] is not there" in err and "21.00" in out

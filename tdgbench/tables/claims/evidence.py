@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import Record
+from tdgbench.bench.record import Record, no_records
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.cell import Cell, finished_cells
@@ -75,7 +75,7 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     for folder in experiments:
         records = read_results(folder).records
         if not records:
-            raise ValueError(f"{folder} holds no records; run an experiment first")
+            raise no_records(folder)
         cells += finished_cells(folder, (record for record in records if _is_plain(record)))
     chosen = as_published(cells)
     plan = Plan(methods=list(methods.paper_pair()) if chosen else [])

@@ -72,7 +72,7 @@ def test_what_does_not_count(tmp_path):
     found = evidence_of([tmp_path])
     assert [cell.record.seed for cell in found.cells] == [4]
     assert found.main.empty and found.note == ""
-    with pytest.raises(ValueError, match="nothing holds no records"):
+    with pytest.raises(ValueError, match="nothing is not there"):
         evidence_of([tmp_path / "nothing"])
 
 
