@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 from urllib.error import URLError
 
 import pytest
@@ -23,7 +24,6 @@ def recursion(self, iteration):
         (fails(SystemExit(3)), "its code ended the process with status 3"),
         (fails(MemoryError()), "smaller images (data.width=…)"),
         (recursion, "RecursionError"),
-        (recursion, "(test_failures.py, line "),
     ],
 )
 def test_what_is_hardly_an_error_fails_the_cell(tiny_cell, monkeypatch, step, said):
@@ -31,6 +31,11 @@ def test_what_is_hardly_an_error_fails_the_cell(tiny_cell, monkeypatch, step, sa
     outcome = tiny_cell()
     assert outcome.status == "failed" and said in outcome.message
     assert said in read_all(tiny_cell.experiment)[0].failure.error
+
+
+def test_where_a_methods_code_failed_is_said(tiny_cell, monkeypatch):
+    monkeypatch.setattr(GaussianSplatting, "step", recursion)
+    assert re.search(r"RecursionError: .* \(test_failures\.py, line \d+\)", tiny_cell().message)
 
 
 ENVIRONMENT = [
