@@ -22,12 +22,14 @@ def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
     Returns the number of cells, and of those whose scene is not on disk. Raises SystemExit(1) for an unknown scene.
     """
     options = swept(cfg)
-    names = options.get("scene") or [cfg.scene]
+    names = options.get("scene")
     scenes, missing = list[Description](), list[Description]()  # of each data set
     try:
         for one in configs_by(cfg, ("dataset", "data")):
+            if not _is_allowed(one):
+                continue
             dataset: Dataset = instantiate(one.dataset.loader)
-            described = [dataset.describe(name) for name in names]
+            described = [dataset.describe(name) for name in names or [one.scene]]
             absent = dataset.missing([scene.scene for scene in described])
             if absent:
                 say(dataset.explain_missing(absent), "error:", stderr=True)
@@ -38,10 +40,10 @@ def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
         raise SystemExit(1) from error
     for message in unavailable_priors(configs_by(cfg, ("method", "dataset", "prior"))):
         say(f"{message}\n  cells of methods without a prior run", "error:", stderr=True)
-    jobs = number_of_jobs(cfg) or len(scenes)
-    without_data = len(missing) * jobs // len(scenes)
+    jobs = number_of_jobs(cfg) or max(len(scenes), 1)
+    without_data = len(missing) * jobs // max(len(scenes), 1)
     different = list(dict.fromkeys(scenes))
-    alike = len(different) < len(names) * len(set(options.get("dataset", [""])))  # two data sets of one title
+    alike = len(different) < len(names or [""]) * len(set(options.get("dataset", [""])))  # two data sets of one title
     if jobs > 1:
         say(f"{cfg.name}: {jobs} cells, {without_data} without data", stderr=True)
     plan = Plan(
@@ -58,17 +60,20 @@ def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
 
 
 def unavailable_priors(cells: Iterable[DictConfig]) -> list[str]:
-    """Return messages for the priors that cells need and that are not available, one each.
-
-    Cells with options that are not allowed say so themselves when they run.
-    """
+    """Return messages for the priors that cells need and that are not available, one each."""
     messages: dict[str, None] = {}
-    for cfg in cells:
+    for cfg in filter(_is_allowed, cells):
         try:
-            check_options(names_to_text(cfg))
             prepare_prior(cfg)
         except PriorUnavailableError as error:
             messages[str(error)] = None
-        except OptionError:
-            continue
     return list(messages)
+
+
+def _is_allowed(cfg: DictConfig) -> bool:
+    """Return whether a cell has options that are allowed; others say so themselves when they run."""
+    try:
+        check_options(names_to_text(cfg))
+    except OptionError:
+        return False
+    return True

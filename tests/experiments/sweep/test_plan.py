@@ -39,6 +39,8 @@ def test_a_sweep_over_data_sets(tmp_path, data_root):
         assert "2 cells, 0 without data\n" in run.stderr
         cells = tmp_path / "results" / others[-4:] / "cells" / "3dgs"
         assert sorted(path.parent.relative_to(cells).as_posix() for path in cells.rglob("record.json")) == folders
+    run = command_here(tmp_path, *sweep, "data.split=eighty_twenty,nosuch", "name=wrong")
+    assert run.returncode == 1 and "2 cells, 0 without data\n" in run.stderr and "1 cell run" in run.stdout + run.stderr
     run = command_here(tmp_path, "-m", "dataset=rgbt_scenes,thermalmix", "scene=Truck", f"data.root={data_root}")
     assert run.returncode == 1 and "Truck is a scene of RGBT-Scenes: use dataset=rgbt_scenes" in run.stderr
 
