@@ -43,8 +43,7 @@ def test_faster_at_equal_iterations_quality_and_time():
 def experiment(data_root, *overrides):
     return config(
         "+experiment=error_time", *SMALL, f"data.root={data_root}", f"results={data_root}/results",
-        "budget.iterations=20", "study.samples=3",
-        "study.scenes=[turntable]", *overrides,
+        "budget.iterations=20", "study.samples=3", "study.scenes=[turntable]", *overrides,
     )  # fmt: skip
 
 
@@ -101,7 +100,7 @@ def test_a_failing_run_does_not_stop_the_others(data_root, monkeypatch, capsys):
 
 
 def test_a_run_has_the_budget_that_it_names(data_root):
-    cfg = config("+experiment=budgets", f"data.root={data_root}", *SMALL)
+    cfg = config("+experiment=budgets", f"data.root={data_root}", f"results={data_root}/results", *SMALL)
     cfg.study.budgets.lean.iterations, cfg.study.budgets.paper.iterations = 4, 3
     lengths = {
         run.label: sample_curve(cfg, "turntable", run, 2)["iteration"].max()
