@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, cast
 
@@ -50,9 +49,7 @@ def check_options(cfg: DictConfig) -> None:
     OptionError, which names all problems.
     """
     plain, unresolved = _resolved(OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"]))
-    problems = unresolved or [
-        *_model_problems(plain), *_object_problems(plain, ""), *not_finite(plain, ""), *_missing_weights(plain)
-    ]  # fmt: skip
+    problems = unresolved or [*_model_problems(plain), *_object_problems(plain, ""), *not_finite(plain, "")]
     first: dict[str, Problem] = {}
     for problem in problems:
         name = _typed_name(cfg, problem.option)
@@ -247,14 +244,6 @@ def _object_problems(plain: Any, name: str) -> Iterator[Problem]:
     given = {k: v for k, v in plain.items() if not (k.startswith("_") or (isinstance(v, dict) and "_target_" in v))}
     nested = [k for k, v in plain.items() if isinstance(v, dict) and "_target_" in v]
     yield from signature_problems(target, given, name, elsewhere=nested, partial=bool(plain.get("_partial_")))
-
-
-def _missing_weights(plain: dict[Any, Any]) -> Iterator[Problem]:
-    """Yield the problem of a file of LPIPS's weights that is not there: it is read only after the training."""
-    lpips = (plain.get("metrics") or {}).get("lpips") or {}
-    weights = lpips.get("weights") if isinstance(lpips, dict) else None
-    if isinstance(weights, str) and not Path(weights).is_file():
-        yield Problem("metrics.lpips.weights", "there is no such file", weights)
 
 
 def _import(path: str) -> Any:

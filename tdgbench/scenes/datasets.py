@@ -125,12 +125,7 @@ class RegisteredDataset(Outlines):
 
     def _find(self, name: str) -> Path | None:
         scene = self._registered(name)
-        title = registry.DATASETS[scene.dataset]
-        folder = self.root / title
-        if not is_folder(folder) and is_folder(self.root):
-            wanted = registry.plain_name(title)
-            folder = next((path for path in listed(self.root) if registry.plain_name(path.name) == wanted), folder)
-        return scene.find(folder)
+        return scene.find(registry.dataset_folder(self.root, scene.dataset))
 
 
 class FolderDataset(Outlines):

@@ -46,6 +46,15 @@ class RegisteredScene:
         return folders[0] if folders else None
 
 
+def dataset_folder(root: Path, dataset: str) -> Path:
+    """Return the folder of a data set, a key of DATASETS, in a data root: its title, in any case and punctuation."""
+    folder = root / DATASETS[dataset]
+    if is_folder(folder) or not is_folder(root):
+        return folder
+    wanted = plain_name(folder.name)
+    return next((path for path in listed(root) if plain_name(path.name) == wanted and is_folder(path)), folder)
+
+
 def plain_name(name: str) -> str:
     """Return a name without case, spaces and punctuation."""
     return re.sub(r"[^a-z0-9]", "", name.lower())

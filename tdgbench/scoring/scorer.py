@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import AfterValidator
 
 from tdgbench.scenes import Scene, View
 from tdgbench.scoring.at_once import map_views
@@ -27,12 +29,19 @@ from tdgbench.scoring.scored_view import (
 Scores = dict[str, float | None]  # by metric; None: it does not apply
 
 
+def _existing(file: str) -> str:
+    """Raise ValueError for a file that is not there; else it would be missed only after a training."""
+    if not Path(file).is_file():
+        raise ValueError("there is no such file")
+    return file
+
+
 @dataclass(frozen=True)
 class LPIPSOptions:
     """The LPIPS network and the source of its backbone (weights: a pth or npz file; None: torch's cache)."""
 
     net: Net
-    weights: str | None
+    weights: Annotated[str, AfterValidator(_existing)] | None  # checked as an option, not where records are read
     download: bool
 
 

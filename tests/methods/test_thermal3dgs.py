@@ -103,7 +103,7 @@ def test_a_record_says_whether_the_conduction_module_is_dead(small_gray_scene):
         assert report["parameters"] == 7 and report["dead"] == (report["adds_at_most"] == 0)
         if not report["dead"]:
             assert report["adds_at_most"] < 3 / math.sqrt(36)
-        _, again = (trainer, ready_to_train(small_gray_scene, "thermal3dgs", 3, *ALL_TERMS, seed=seed))
+        again = ready_to_train(small_gray_scene, "thermal3dgs", 3, *ALL_TERMS, seed=seed)
         again.parts["conduction"].load_state_dict(trainer.parts["conduction"].state_dict())
         assert again.reports()["conduction"] == report
     assert found == {True, False}

@@ -78,7 +78,7 @@ def find_place(root: Path, split: str) -> Place:
         parent = root.resolve().parent if root.name in ("", "..") else root.parent
         return Place(parent, dataset, dataset.names(), is_paper=True)
     paper = RegisteredDataset(str(root), options)
-    if not is_folder(root) or any(plain_name(path.name) in titles and is_folder(path) for path in listed(root)):
+    if not is_folder(root) or any(is_folder(registry.dataset_folder(root, key)) for key in registry.DATASETS):
         return Place(root, paper, paper.names(), is_paper=True)
     folder = FolderDataset(str(root), options)
     names = folder.names()

@@ -6,12 +6,10 @@ import argparse
 from pathlib import Path
 
 from hydra import compose, initialize_config_dir
-from hydra.errors import HydraException
 from hydra.utils import instantiate
 
 from tdgbench.bench.options import check_options
 from tdgbench.data.export.export import FORMATS, STATEMENT, export_scene
-from tdgbench.experiments.experiment import error_message
 from tdgbench.resources import conf_folder
 from tdgbench.scenes import Scene, SceneError
 from tdgbench.terminal import say
@@ -40,12 +38,8 @@ def read_scene(folder: Path, options: list[str]) -> Scene:
     """Read a scene as a training does that has these options `data.*`. Raises SceneError or OptionError."""
     if any(option.startswith("root=") for option in options):
         raise SceneError(f"--data {' '.join(options)}: the root is SCENE; leave it out")
-    words = ["dataset=folder", *(f"data.{option}" for option in options)]
-    try:
-        with initialize_config_dir(str(conf_folder()), version_base="1.3"):
-            cfg = compose("config", overrides=words)
-    except HydraException as error:
-        raise SceneError(error_message(error, words)) from error
+    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+        cfg = compose("config", overrides=["dataset=folder", *(f"data.{option}" for option in options)])
     cfg.data.root = str(folder)
     check_options(cfg)
     scene: Scene = instantiate(cfg.dataset.loader).load(cfg.scene)
