@@ -28,6 +28,7 @@ from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.cell import Cell, finished_cells
 from tdgbench.tables.measures import COLUMNS, GAUSSIANS, MEASURES, as_text
 from tdgbench.tables.records import read_results
+from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
@@ -92,6 +93,8 @@ def sentences(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> lis
         for row in verdicts_by_metric(table).itertuples():
             mean, largest = (as_text(row.metric, value, form="+.3g") for value in (row.mean, row.largest))
             found.append(f"{MEASURES[row.metric].label}: {row.verdicts}; B − A {mean} in the mean, {largest} at most")
+        if (table.loc[table["verdict"] == UNDECIDED, "seeds"] == 1).any():
+            found.append("one seed has no interval, so its scores are undecided: run both with seed=0,1,2")
     kinds = [kind for kind in KINDS if any(cause.kind == kind for cause in causes)]
     if PROTOCOL in kinds:
         found.append("the two do not follow one protocol, so their scores are not comparable: see what differs")

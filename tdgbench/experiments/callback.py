@@ -11,7 +11,9 @@ from typing import ClassVar
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from tdgbench.bench.options import names_to_text
+from tdgbench.bench.options import OptionError, names_to_text
+from tdgbench.bench.plan import number_of_jobs, swept
+from tdgbench.bench.signature import Problem
 from tdgbench.experiments.experiment import check_results_folder, error_message, experiment_of
 from tdgbench.terminal import say
 
@@ -30,6 +32,9 @@ class ExperimentCallback(Callback):
             experiment = experiment_of(names_to_text(config))
             experiment.check(config)
             experiment.check_typed(config.hydra.overrides.task)
+            if experiment.one_job and number_of_jobs(config) != 1:
+                what = "has several values, whose results would replace one another: run each with its own name="
+                raise OptionError([Problem(option, what) for option in swept(config)])
             check_results_folder(folder)
             ExperimentCallback.folder = folder
             experiment.start(config)

@@ -15,10 +15,12 @@ from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BaseModel, Field, PositiveFloat
 
+from tdgbench.bench.options import OptionError
 from tdgbench.bench.paths import prior_cache
 from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up
-from tdgbench.experiments.experiment import Experiment, prepare_prior
+from tdgbench.bench.signature import Problem
+from tdgbench.experiments.experiment import Experiment, error_message, prepare_prior
 from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.report.figures import plain, save_figure
@@ -55,9 +57,9 @@ class ErrorTimeOptions:
     """Options in `cfg.study`; `conf/experiment/error_time.yaml` says what they are."""
 
     methods: dict[str, Any]
-    scenes: list[str | None]
+    scenes: Annotated[list[str | None], Field(min_length=1)]
     samples: Annotated[int, Field(ge=2)]
-    runs: list[Run]
+    runs: Annotated[list[Run], Field(min_length=1)]
     budgets: dict[str, Any] = field(default_factory=dict)
 
 
@@ -65,6 +67,7 @@ class ErrorTime(Experiment):
     """Training time against the error of the test views."""
 
     options = ErrorTimeOptions
+    one_job = True
     sets: ClassVar[Mapping[str, str]] = {"scene": "study.scenes=[NAME,...]", "method": "study.runs"}
 
     def start(self, cfg: DictConfig) -> None:
@@ -75,17 +78,17 @@ class ErrorTime(Experiment):
         pool.set_threads(cfg.threads)
         torch.set_num_threads(1)
         folder = Path(cfg.results) / cfg.name
-        folder.mkdir(parents=True, exist_ok=True)
         curves, failed = sample_all(cfg)
-        write_text(folder / "curves.csv", as_csv(curves, na_rep="n/a"))
         if not curves.empty:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_text(folder / "curves.csv", as_csv(curves, na_rep="n/a"))
             first, *others = [run.label for run in runs_of(cfg)]
             savings = faster_by(curves, first, others)
             write_text(folder / "faster.csv", as_csv(savings, na_rep="n/a"))
             shown = {name: (name, "{}" if name in ("scene", "label") else "{:.3g}") for name in savings}
             show_table(format_columns(savings, shown), f"time saved against {first}")
             draw_curves(curves, folder / "curves.png")
-        say(f"tables and pictures: {folder}")
+            say(f"tables and pictures: {folder}")
         if failed:
             raise SystemExit(1)
 
@@ -97,17 +100,22 @@ class Budgets(ErrorTime):
 
 
 def runs_of(cfg: DictConfig) -> list[Run]:
-    """Return the trainings in `cfg.study.runs`. Raises ValueError for a method or budget that is not in `cfg.study`."""
-    budgets = cfg.study.get("budgets", {})
+    """Return the trainings in `cfg.study.runs`. Raises OptionError for what does not fit the rest of `cfg.study`."""
+    methods, budgets = cfg.study.methods, cfg.study.get("budgets", {})
     runs: list[Run] = []
     for options in cfg.study.runs:
         run = Run.model_validate(OmegaConf.to_container(options, resolve=True))
-        if run.method not in cfg.study.methods:
-            raise ValueError(f"run {run.label!r}: no method {run.method!r} among {', '.join(cfg.study.methods)}")
-        if run.budget is not None and run.budget not in budgets:
-            raise ValueError(f"run {run.label!r}: no budget {run.budget!r} among {', '.join(budgets)}")
-        if run.label in [other.label for other in runs]:
-            raise ValueError(f"two runs have the label {run.label!r} in study.runs")
+        wrong = ""
+        if run.method not in methods:
+            wrong = f"there is no method {run.method!r} in study.methods (there are {', '.join(methods)})"
+        elif unknown := run.options.keys() - methods[run.method].method.keys():
+            wrong = f"{run.method} has no option {', '.join(sorted(unknown))}"
+        elif run.budget is not None and run.budget not in budgets:
+            wrong = f"there is no budget {run.budget!r} in study.budgets (there are {', '.join(budgets) or 'none'})"
+        elif run.label in [other.label for other in runs]:
+            wrong = "another run has this label"
+        if wrong:
+            raise OptionError([Problem("study.runs", f"run {run.label!r}: {wrong}")])
         runs.append(run)
     return runs
 
@@ -121,7 +129,7 @@ def sample_all(cfg: DictConfig) -> tuple[pd.DataFrame, int]:
                 curve = sample_curve(cfg, scene, run, int(cfg.study.samples))
             except Exception as error:
                 failed += 1
-                say(f"{scene}, {run.label}: {type(error).__name__}: {error}", "failed:")
+                say(f"{', '.join(filter(None, (scene, run.label)))}: {error_message(error)}", "failed:")
                 continue
             curves.append(curve)
             end = curve.iloc[-1]

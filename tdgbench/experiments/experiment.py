@@ -32,10 +32,12 @@ class Experiment(ABC):
 
     options: dataclass or function whose signature states the options in `cfg.study`; None: they are not checked.
     sets: options that the experiment itself sets in each cell, and the option in `cfg.study` that says to what.
+    one_job: whether a second job of a sweep would replace the results of the first one.
     """
 
     options: ClassVar[Callable[..., Any] | None] = None
     sets: ClassVar[Mapping[str, str]] = {}
+    one_job: ClassVar[bool] = False
 
     def check(self, cfg: DictConfig) -> None:
         """Raise OptionError for options that are not allowed."""

@@ -54,6 +54,7 @@ class Priors(Experiment):
     """Error of each prior, and TDg's scores with it."""
 
     options = PriorsOptions
+    one_job = True
     sets: ClassVar[Mapping[str, str]] = {**MatrixOptions.SETS, "prior": "study.priors"}
 
     def run(self, cfg: DictConfig) -> None:
@@ -95,6 +96,8 @@ def run_scene(cfg: DictConfig, name: str | None) -> SceneTables:
     Raises SceneError if the scene cannot be read.
     """
     scene = instantiate(loader_of(cfg, instantiate(cfg.skip))).load(name)
+    cfg = cfg.copy()
+    cfg.seed = cfg.study.seeds[0]  # errors are of the prior of one training
     priors, cache = cfg.study.priors, prior_cache(Path(cfg.results))
     errors = {str(prior): measure_prior(options, scene, cache) for prior, options in priors.items()}
     available = {prior: priors[prior] for prior, error in errors.items() if not error.reason}

@@ -11,7 +11,9 @@ import numpy as np
 import pandas as pd
 from omegaconf import DictConfig
 
+from tdgbench.bench.options import OptionError
 from tdgbench.bench.record import Record
+from tdgbench.bench.signature import Problem
 from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.matrix import Axes, AxisValue, MatrixOptions, check_all_ran, run_cells, table_of, values_of
 from tdgbench.experiments.show import format_columns, show_table
@@ -45,6 +47,7 @@ class SkipAblation(Experiment):
     """Cells with each skip alone, with all but one, with all and with none."""
 
     options = SkipAblationOptions
+    one_job = True
     sets: ClassVar[Mapping[str, str]] = MatrixOptions.SETS
 
     def start(self, cfg: DictConfig) -> None:
@@ -80,14 +83,15 @@ def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[
     """Return the skips that each variant allows, by label; skips outside of `names` are off in all variants.
 
     usual: whether each skip is on by default. The variant `all` has those of `names` that are on by default, and only
-    these have a variant without them. Raises ValueError for an unknown name.
+    these have a variant without them. Raises OptionError for an unknown name.
 
     >>> list(variants(["gray"], dict.fromkeys(NAMES, True)))
     ['none', 'all', 'only gray', 'without gray']
     """
     unknown = set(names) - set(NAMES)
     if unknown:
-        raise ValueError(f"there is no skip {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}")
+        what = f"there is no skip {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}"
+        raise OptionError([Problem("study.skips", what)])
     together = {name: name in names and usual[name] for name in NAMES}
     choices = {NONE: dict.fromkeys(NAMES, False), ALL: together}
     for name in names:

@@ -73,6 +73,7 @@ class ThermalCameraExperiment(Experiment):
     """Cells of all combinations, and their tables."""
 
     options = CaptureStudyOptions
+    one_job = True
     sets: ClassVar[Mapping[str, str]] = {
         **MatrixOptions.SETS, "method": "study.methods", "thermal_camera": "study.thermal_cameras",
     }  # fmt: skip

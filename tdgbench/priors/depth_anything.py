@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading
+from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading, model_identity
 from tdgbench.scenes import Scene, View
 
 
@@ -31,7 +31,7 @@ class DepthAnythingPrior:
         _ = self._network
 
     def identity(self, scene: Scene) -> dict[str, object]:
-        return {"estimator": "depth_anything", "model": self.model}
+        return {"estimator": "depth_anything", **model_identity(self.model)}
 
     @torch.no_grad()
     def estimate(self, scene: Scene, view: View) -> DepthPrior:

@@ -23,7 +23,8 @@ class FilePrior:
     """First existing file of <folder>/[<scene>/][train/|test/]<view>.{npy,png}.
 
     folder: None means `depthesti` in the scene's folder, as in TDg's release (TDg.py, lines 70 to 99). As there, a PNG
-    is first resized bilinearly to the image's size; zeros then become unknown. kind: of the values, see DepthPrior.
+    is first resized bilinearly to the image's size; zeros then become unknown. An array of another size is resized by
+    the means of its known values. kind: of the values, see DepthPrior.
     """
 
     def __init__(self, folder: str | None, kind: Kind) -> None:
@@ -39,13 +40,14 @@ class FilePrior:
         return {"estimator": "files", "folder": folder, "kind": self.kind, "files": digest.hexdigest()[:16]}
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
-        path = self._find(scene, view)
+        path, (width, height) = self._find(scene, view), (view.camera.width, view.camera.height)
         with _as_prior_error():
-            if path.suffix == ".npy":
-                values = read_array(path).astype(np.float32).squeeze()
-            else:
-                values = _read_png(path, (view.camera.height, view.camera.width))
-        return DepthPrior(values, self.kind)
+            if path.suffix != ".npy":
+                return DepthPrior(_read_png(path, (height, width)), self.kind)
+            values = read_array(path).astype(np.float32).squeeze()
+        if values.ndim != 2:
+            raise PriorError(f"{path} has shape {values.shape}; a depth map is (H, W)")
+        return DepthPrior(values, self.kind).resized(width, height)
 
     def _find(self, scene: Scene, view: View) -> Path:
         if self.folder is not None:

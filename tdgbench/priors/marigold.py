@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from pydantic import NonNegativeInt, PositiveInt
 
-from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading
+from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading, model_identity
 from tdgbench.scenes import Scene, View
 
 
@@ -34,8 +34,9 @@ class MarigoldPrior:
     seed: NonNegativeInt
 
     def identity(self, scene: Scene) -> dict[str, object]:
-        names = ("model", "steps", "ensemble", "resolution", "seed")
-        return {"estimator": "marigold", **{name: getattr(self, name) for name in names}}
+        options = {name: getattr(self, name) for name in ("steps", "ensemble", "resolution", "seed")}
+        variant = {"variant": self._variant} if self._variant else {}
+        return {"estimator": "marigold", **model_identity(self.model), **options, **variant}
 
     def prepare(self) -> None:
         kind = _pipeline_class()

@@ -18,7 +18,7 @@ import torch
 from tdgbench.files import whole_file
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import resize
-from tdgbench.scenes.inputs import is_there, regular_file
+from tdgbench.scenes.inputs import hash_of, is_there, regular_file
 from tdgbench.text import one_line, shortened
 
 Kind = Literal["depth", "disparity", "metric"]
@@ -137,6 +137,17 @@ def loading(prior: str, model: str) -> AbstractContextManager[None]:
     return unavailable(prior, f"no weights of {model}", remedy)
 
 
+def model_identity(model: str) -> dict[str, object]:
+    """Return a model's name on the hub; of a folder, which may change, the hash of its files as well."""
+    folder = Path(model)
+    if not folder.is_dir():
+        return {"model": model}
+    digest = hashlib.sha256()
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        digest.update(path.relative_to(folder).as_posix().encode() + hash_of(path))
+    return {"model": model, "files": digest.hexdigest()[:16]}
+
+
 def chosen_device(name: str) -> torch.device:
     """Return the device of a name; `auto` is the GPU, where there is one."""
     if name == "auto":
@@ -169,6 +180,7 @@ def _cached(
         return estimator.estimate(scene, view), True
     digest = hashlib.sha256(identity.encode())
     digest.update(f"{scene.fingerprint}/{view.name}/{view.camera.width}x{view.camera.height}".encode())
+    digest.update(view.camera.K.tobytes() + view.camera.world_to_camera.tobytes())
     digest.update(np.ascontiguousarray(view.thermal).tobytes())
     path = cache / f"{digest.hexdigest()[:32]}.npz"
     stored = _read(path, view) if is_there(path) else None

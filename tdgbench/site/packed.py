@@ -13,6 +13,7 @@ import numpy as np
 
 from tdgbench.bench.paths import folder_name
 from tdgbench.bench.plan import Plan, read_plan
+from tdgbench.bench.protocol import protocol_settings
 from tdgbench.packs import manifest, unpack
 from tdgbench.packs.checklist import Item, checklist
 from tdgbench.packs.manifest import Manifest
@@ -51,11 +52,12 @@ class Pack:
 class Row:
     """A row of a leaderboard: a method's column on one scene, or on average over those of a pack.
 
-    scores: text, sort, bold, title, verdict and published number of each of COLUMNS.
+    settings: of its protocol. scores: text, sort, bold, title, verdict and published number of each of COLUMNS.
     """
 
     pack: Pack
     protocol: str
+    settings: dict[str, Any]
     dataset: str
     scene: str
     method: str
@@ -129,8 +131,9 @@ def rows_of(pack: Pack) -> list[Row]:
                 and cell.record.dataset == dataset
                 and scene in (cell.record.scene, AVERAGE)
             ]
-            seeds = len({record.seed for record in records})
-            rows.append(Row(pack, protocols[key], dataset, scene, records[0].method, column, seeds, scores))
+            first, seeds = records[0], len({record.seed for record in records})
+            settings = protocol_settings(first.config)
+            rows.append(Row(pack, protocols[key], settings, dataset, scene, first.method, column, seeds, scores))
     return rows
 
 

@@ -9,7 +9,6 @@ from typing import Any
 from urllib.parse import quote
 
 from tdgbench.bench.key import flat
-from tdgbench.bench.protocol import protocol_settings
 from tdgbench.files import whole_folder
 from tdgbench.packs.manifest import SHOWN
 from tdgbench.report.page import environment, environments
@@ -115,8 +114,7 @@ def boards_of(rows: Iterable[Row]) -> list[dict[str, Any]]:
     for (dataset, protocol), group in sorted(groups.items()):
         group.sort(key=lambda row: (not row.is_average, row.scene, methods.rank(row.column), row.pack.page))
         averages = [row for row in group if row.is_average]
-        example = next(cell.record for cell in group[0].pack.cells if cell.record.dataset == dataset)
-        settings = {name: json.dumps(value) for name, value in protocol_settings(example.config).items()}
+        settings = {name: json.dumps(value) for name, value in group[0].settings.items()}
         boards.append({
             "dataset": dataset, "protocol": protocol, "rows": group, "settings": settings,
             "plot": plot(averages or group),

@@ -61,6 +61,8 @@ def _weights(text: str) -> tuple[str, str]:
     net, _, file = text.partition("=")
     if net not in SPECS or not file:
         raise argparse.ArgumentTypeError(f"{text!r} is not NET=FILE with a network of {', '.join(SPECS)}")
+    if not Path(file).is_file():
+        raise argparse.ArgumentTypeError(f"{file} is no file")
     return net, file
 
 

@@ -25,7 +25,7 @@ def estimate_camera(scene: Scene) -> ThermalCamera | Unknown:
 
     In °C where the scene has a range of temperatures, else in image units. Test views are not read.
     """
-    if scene.points is None:
+    if scene.points is None or not len(scene.points.points):
         return Unknown(
             f"{scene.name} has no sparse points, from which the thermal camera is estimated; add a COLMAP model that "
             "has some"
@@ -107,8 +107,8 @@ def _notes(
     few = [view.name for view, count in zip(train, counts, strict=True) if count == 0]
     if few:
         notes.append(
-            f"{len(few)} views see fewer than {FEWEST_OBSERVATIONS} points that others see; they keep gain 1 and "
-            f"the mean offset: {first_few(few)}"
+            f"{len(few)} views see fewer than {FEWEST_OBSERVATIONS} points that others see; they get the response of "
+            f"{'an average view' if drift is None else 'the views before and after them'}: {first_few(few)}"
         )
     if undetermined:
         directions = "1 direction" if undetermined == 1 else f"{undetermined} directions"

@@ -128,8 +128,8 @@ class Panel:
 
     def _add_look(self, gui: viser.GuiApi) -> None:
         names = list(self.cells)
-        models = {modality for cell in self.cells.values() for modality in cell.models}
-        shown = [quantity for quantity in QUANTITIES if quantity in GEOMETRY or quantity in models]
+        there = {modality for cell in self.cells.values() for modality in cell.modalities}
+        shown = [quantity for quantity in QUANTITIES if quantity in GEOMETRY or quantity in there]
         self._quantities = {LABELS.get(quantity, quantity): quantity for quantity in shown}
         several = len(names) > 1
         with gui.add_folder("Picture") as self._picture:

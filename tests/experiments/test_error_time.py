@@ -3,6 +3,7 @@ from itertools import pairwise
 import pandas as pd
 import pytest
 
+from tdgbench.bench.options import OptionError
 from tdgbench.experiments import error_time
 from tdgbench.experiments.error_time import (
     ErrorTime,
@@ -108,15 +109,30 @@ def test_a_run_has_the_budget_that_it_names(data_root):
         if run.budget != "short"
     }
     assert lengths == {"TDg": 3, "TDg, lean": 4, "MSMG": 3, "MSMG, lean": 4}
-    with pytest.raises(ValueError, match="run 'x': no budget 'long' among paper, short, lean"):
-        runs_of(config("+experiment=budgets", "study.runs=[{label: x, method: tdg, budget: long}]"))
-    with pytest.raises(ValueError, match="two runs have the label 'x'"):
+    with pytest.raises(ValueError, match="run 'x': another run has this label"):
         runs_of(config("+experiment=budgets", "study.runs=[{label: x, method: tdg}, {label: x, method: msmg}]"))
 
 
-def test_an_unknown_method_is_named(data_root):
-    with pytest.raises(ValueError, match="no method '3dgs' among msmg, msmg_thermal, tdg"):
-        runs_of(experiment(data_root, "study.runs=[{label: x, method: 3dgs}]"))
+@pytest.mark.parametrize(
+    ("run", "said"),
+    [
+        ("method: 3dgs", "there is no method '3dgs' in study.methods .there are msmg, msmg_thermal, tdg"),
+        ("method: tdg, options: {weigth: 1}", "tdg has no option weigth"),
+        ("method: tdg, budget: long", "there is no budget 'long' in study.budgets .there are none"),
+    ],
+)
+def test_what_a_run_names_must_be_there(data_root, run, said):
+    with pytest.raises(OptionError, match=rf"study\.runs: run 'x': {said}"):
+        runs_of(experiment(data_root, f"study.runs=[{{label: x, {run}}}]"))
+
+
+def test_runs_that_all_fail_leave_the_results_before_them(tmp_path, data_root, capsys):
+    (tmp_path / "error_time").mkdir()
+    (tmp_path / "error_time" / "curves.csv").write_text("kept")
+    with pytest.raises(SystemExit):
+        ErrorTime().run(experiment(data_root, f"results={tmp_path}", "study.scenes=[nope]"))
+    assert (tmp_path / "error_time" / "curves.csv").read_text() == "kept"
+    assert "failed: nope, MSMG: no synthetic scene nope" in capsys.readouterr().out
 
 
 def test_tables_and_pictures(tmp_path, data_root, capsys):

@@ -136,6 +136,16 @@ def test_options_that_the_experiment_sets_itself_are_refused(tmp_path, experimen
     assert run.stderr.startswith(f"error: {word}: is set by the experiment; give {instead}"), run.stderr
 
 
+@pytest.mark.parametrize("experiment", ["error_time", "skips", "stress", "priors", "thermal_camera"])
+def test_a_sweep_whose_jobs_would_replace_one_another_is_refused(tmp_path, experiment):
+    run = command_here(tmp_path, "-m", f"+experiment={experiment}", "budget.plateau=null,null")
+    assert run.returncode == 1 and not (tmp_path / "results").exists()
+    assert run.stderr == (
+        "error: budget.plateau: has several values, whose results would replace one another: run each with its own "
+        "name=\n"
+    )
+
+
 def test_options_of_its_own_are_not_refused():
     experiment_of(config("+experiment=thermal_camera")).check_typed(
         ["study.seeds=[1]", "+budget.iterations=3", "~skip.gray", "+camera@study.thermal_cameras.mine=ideal"]

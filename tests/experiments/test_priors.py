@@ -55,6 +55,12 @@ def test_tdg_without_a_prior_is_tdg_whose_depth_loss_has_no_weight(tmp_path, dat
     assert len(models) == 2 and models[0] == models[1]
 
 
+def test_errors_are_those_of_a_prior_that_is_trained_with(tmp_path, data_root):
+    few = ("~study.priors.onnx", "~study.priors.sfm_points", "study.seeds=[5]")
+    Priors().run(config(*overrides(tmp_path, data_root, *few)))
+    assert len(list((tmp_path / "cache").rglob("*.npz"))) == 8  # one for each view, of one seed
+
+
 @pytest.mark.slow
 def test_a_scene_that_is_not_there_fails_alone(tmp_path, data_root):
     few = ("study.scenes=[nowhere,turntable]", "~study.priors.sfm_points")

@@ -47,6 +47,10 @@ def test_a_map_of_another_size_is_resized(small_scene, tmp_path):
     assert read.shape == (36, 48) and (np.diff(read[0]) >= 0).all()
     assert np.allclose(read.reshape(18, 2, 24, 2).mean(axis=(1, 3))[:, 1:-1], (ramp / 255)[:, 1:-1], atol=5e-3)
 
+    np.save(tmp_path / f"{view.name}.npy", np.kron(ramp, np.ones((4, 4))))
+    read = FilePrior(str(tmp_path), "depth").estimate(small_scene, view).check(view).values
+    assert np.allclose(read.reshape(18, 2, 24, 2).mean(axis=(1, 3)), ramp)
+
 
 def test_a_coloured_picture_is_no_depth_map(small_scene, tmp_path):
     view = small_scene.train[0]
@@ -86,7 +90,7 @@ def test_files_that_cannot_be_used_are_named(small_scene, tmp_path):
         (np.array([object()]), r"view001\.npy cannot be read as an \.npy array"),
         (np.array(["a"]), r"view001\.npy holds <U1"),
         (np.full((36, 48), np.nan), "no finite value"),
-        (np.ones((36, 48, 3)), r"is \(36, 48, 3\), its image \(36, 48\)"),
+        (np.ones((36, 48, 3)), r"view001\.npy has shape \(36, 48, 3\); a depth map is"),
     ):
         np.save(path, values)
         refused(message)

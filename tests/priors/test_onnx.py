@@ -122,6 +122,10 @@ def test_the_identity_follows_the_file_and_the_weights_beside_it(network, small_
     other = network([1, 3, 18, 24])
     assert other.identity(small_scene)["files"] != before["files"]
     assert estimate_all(other, small_scene, tmp_path / "cache")[1] == 8
+    before = other.identity(small_scene)
+    (tmp_path / "mean.onnx.bak").write_bytes(b"no part of it")
+    (tmp_path / "mean.onnx_cache").mkdir()
+    assert other.identity(small_scene) == before
     (tmp_path / "mean.onnx.data").write_bytes(b"weights")
     assert (
         other.identity(small_scene)["files"]

@@ -1,5 +1,6 @@
 import io
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +66,13 @@ def test_cache(small_scene, tmp_path):
     assert (first.calls, again.calls, other.calls) == (8, 0, 8)
     assert told == [(i, 8) for i in range(1, 9)]
     assert all(np.array_equal(a[n].values, b[n].values) and b[n].kind == "metric" for n in a)
+
+
+def test_a_map_depends_on_the_camera(small_scene, tmp_path):
+    estimate_all(Counting(), small_scene, tmp_path)
+    first, *others = small_scene.train
+    moved = replace(first, camera=replace(first.camera, K=first.camera.K + np.eye(3, k=2)))
+    assert estimate_all(Counting(), replace(small_scene, train=[moved, *others]), tmp_path)[1] == 1
 
 
 def cut(data: bytes) -> bytes:

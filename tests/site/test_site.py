@@ -129,6 +129,15 @@ def test_every_number_is_that_of_the_records(small_results, packed, tmp_path):
     assert rows == {}  # no mean, as one scene has failed
 
 
+def test_a_board_states_the_settings_of_its_protocol(tmp_path):
+    for border, method in (("zero", "tdg"), ("valid", "msmg")):
+        write(tmp_path / "two", method, "Truck", config={"metrics": {"ssim_border": border}}, protocol=f"1-{border}")
+    folder = make(tmp_path / "site", pack(tmp_path / "two", tmp_path / "two.zip", keep_paths=True)[0])
+    _, first, second = (folder / "index.html").read_text().split("<dt>metrics.ssim_border</dt>")
+    assert first.startswith("<dd>&#34;valid&#34;</dd>") and "what decides these scores" in first  # of the other one
+    assert second.startswith("<dd>&#34;zero&#34;</dd>")
+
+
 def test_published_numbers_and_verdicts_stand_beside(site):
     rows = [row for row in rows_of_index(site) if row[:2] == ["TDg", "Truck"]]
     table = published_main().set_index(["method", "scene", "metric"])["value"]

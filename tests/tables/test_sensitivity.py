@@ -110,6 +110,7 @@ def test_a_network_reads_weights_from_a_file(tmp_path, monkeypatch):
     files = {net: tmp_path / f"{net}.pth" for net in ("squeeze", "vgg", "alex")}
     for net in ("squeeze", "vgg"):
         torch.save({f"features.{name}": value for name, value in random_state(net).items()}, files[net])
+    files["alex"].write_bytes(b"no weights")
     cell(tmp_path / "x", "tdg", [2.0], size=(48, 64))  # squeeze, in torch's cache elsewhere
     words = [f"--weights={net}={path}" for net, path in files.items()]
     assert main(["sensitivity", str(tmp_path / "x"), *words]) == 0
@@ -118,11 +119,15 @@ def test_a_network_reads_weights_from_a_file(tmp_path, monkeypatch):
     assert "alex.pth cannot be read as backbone weights" in table.loc["network alex", "reason"]
 
 
-@pytest.mark.parametrize("words", ["resnet=a.npz", "vgg", "vgg="])
-def test_weights_are_of_a_network_of_lpips(words, capsys):
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [(words, "not NET=FILE with a network of vgg, alex, squeeze") for words in ("resnet=a.npz", "vgg", "vgg=")]
+    + [("vgg=missing.npz", "missing.npz is no file")],
+)
+def test_weights_are_a_file_of_a_network_of_lpips(words, message, capsys):
     with pytest.raises(SystemExit):
         main(["sensitivity", "results/x", "--weights", words])
-    assert "not NET=FILE with a network of vgg, alex, squeeze" in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_masked_pixels_count_in_no_convention(tmp_path):

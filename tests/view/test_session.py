@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -135,6 +135,15 @@ def test_choices_are_looks(session, client):
     for control, value in ((panel._beside, "–"), (panel._quantity, "depth"), (panel._span, (20, 80))):
         control.value = value
     assert panel.look() == Look("tdg", "depth", span=(0.2, 0.8))
+    assert "RGB" in panel._quantity.options
+
+
+def test_what_a_method_renders_beside_its_thermal_model_can_be_shown(client, cells):
+    from tdgbench.view.session import Session, Shown
+
+    several = SimpleNamespace(modalities=("thermal", "rgb"))
+    one = {"one": replace(cells["tdg"], method=several)}
+    panel = Session(client, Shown(one, thumbnails(cells["tdg"]), 320), Requests(rest=0)).panel
     assert "RGB" in panel._quantity.options
 
 

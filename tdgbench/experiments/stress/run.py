@@ -9,6 +9,8 @@ import pandas as pd
 import torch
 from omegaconf import DictConfig
 
+from tdgbench.bench.options import OptionError
+from tdgbench.bench.signature import Problem
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.stress import clouds, losses, training
 from tdgbench.experiments.stress.case import Case, run_case
@@ -29,6 +31,7 @@ class Stress(Experiment):
     """The numerical stress suite."""
 
     options = StressOptions
+    one_job = True
 
     def run(self, cfg: DictConfig) -> None:
         self.check(cfg)
@@ -37,9 +40,9 @@ class Stress(Experiment):
         chosen, rows = cfg.study.cases or "", []
         cases = [case for case in all_cases(cfg) if chosen in case.family or chosen in case.name]
         if not cases:
-            raise ValueError(f"no stress case has {chosen!r} in its family or name")
+            raise OptionError([Problem("study.cases", "no case has this in its family or name", chosen)])
         for case in cases:
-            for backend in backends_of(case):
+            for backend in backends_of(case, cfg.backend.name):
                 row = run_case(case, backend)
                 rows.append(row)
                 line = f"{case.family}: {case.name} [{backend}]: {row['seen']}"
@@ -63,6 +66,11 @@ def all_cases(cfg: DictConfig) -> list[Case]:
     return [*clouds.cases(), *losses.cases(), *training.cases(cfg)]
 
 
-def backends_of(case: Case) -> list[str]:
-    """Return the fast backends of this machine, which are compared with the reference; `once` where none matters."""
-    return fast_backends() if case.every_backend else ["once"]
+def backends_of(case: Case, chosen: str = "auto") -> list[str]:
+    """Return what is compared with the reference: the chosen backend, with `auto` all fast ones of this machine.
+
+    `once` where no backend matters.
+    """
+    if not case.every_backend:
+        return ["once"]
+    return fast_backends() if chosen == "auto" else [chosen]

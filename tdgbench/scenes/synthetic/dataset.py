@@ -80,8 +80,12 @@ class SyntheticDataset(Outlines):
         description = self.describe(name)
         world = WORLDS[description.scene](self.shot.seed).with_gradient(self.shot.errors.gradient_degC)
         folder = self.folder(description.scene)
-        if not folder.exists():
-            write_scene(world, folder, self.shot)
+        try:
+            if not folder.exists():
+                write_scene(world, folder, self.shot)
+        except (NotADirectoryError, PermissionError) as error:
+            what = f"no scene can be written to {self.root} ({error.strerror}); set data.root=DIR"
+            raise SceneError(what) from error
         options = self.options if self.options.fillers is not None else replace(self.options, fillers=[])
         return outline_scene(folder, description, options, LAYOUTS["rgbt_scenes"])  # every pixel was measured
 

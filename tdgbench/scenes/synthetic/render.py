@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.scene import Camera, pose_at
 from tdgbench.scenes.synthetic.capture import TrueRig
 from tdgbench.scenes.synthetic.surfaces import Material, Patches, Solid
@@ -68,7 +69,10 @@ def trace(world: World, camera: Camera, pixels: np.ndarray) -> Hits:
         owner[t < depth] = index
         np.minimum(depth, t, out=depth)
     if (owner < 0).any():
-        raise ValueError(f"{int((owner < 0).sum())} rays leave the world; it must enclose its cameras")
+        raise SceneError(
+            f"{int((owner < 0).sum())} pixels of a view show nothing: the world ends within the image; choose another "
+            "scene, a wider image (dataset.loader.width), or smaller errors (dataset.loader.errors.rig)"
+        )
     return Hits(eye + depth[:, None] * rays, depth, owner)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
+from tdgbench.bench.options import OptionError
 from tdgbench.experiments.stress import clouds
 from tdgbench.experiments.stress.case import Case, UnexpectedError, run_case
 from tdgbench.experiments.stress.run import Stress, all_cases, backends_of
@@ -33,13 +34,14 @@ def test_there_are_102_cases_with_different_names():
 
 
 def test_a_choice_of_cases(tmp_path, data_root):
-    def table(words):
-        cfg = config("+experiment=stress", f"data.root={data_root}", f"results={tmp_path}", f"study.cases='{words}'")
-        Stress().run(cfg)
+    def table(words, *more):
+        options = f"data.root={data_root}", f"results={tmp_path}", f"study.cases='{words}'"
+        Stress().run(config("+experiment=stress", *options, *more))
         return pd.read_csv(tmp_path / "stress" / "stress.csv")
 
     assert list(table("opacity 0")["case"]) == ["opacity 0"] * len(fast_backends())
-    with pytest.raises(ValueError, match="no stress case has 'nonsense'"):
+    assert list(table("opacity 0", "backend=cpu")["backend"]) == ["cpu"]
+    with pytest.raises(OptionError, match=r"study\.cases=nonsense: no case has this"):
         table("nonsense")
 
 
