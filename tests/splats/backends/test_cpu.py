@@ -43,6 +43,22 @@ def test_more_pairs_than_expected():
     assert (image.double() - want).abs().max() < 1e-4
 
 
+CULLED = pytest.mark.xfail(strict=True, reason="culling takes a Gaussian with a NaN here for one out of view")
+
+
+@pytest.mark.parametrize("row", [7, 39])  # 39: in a register that is not full
+@pytest.mark.parametrize(
+    "part",
+    [pytest.param(0, id="means", marks=CULLED), pytest.param(1, id="quats"),
+     pytest.param(2, id="scales", marks=CULLED), pytest.param(3, id="opacities")],
+)  # fmt: skip
+def test_a_nan_is_in_every_pixel(part, row):
+    given = random_gaussians(40, 3, None, 3)
+    given[part][row].view(-1)[-1] = torch.nan
+    image, alpha, _ = rasterization(*given, *turned_camera(20, 15), 20, 15, render_mode="RGB+D")
+    assert image.isnan().all() and alpha.isnan().all()
+
+
 def test_images_too_large_are_refused():
     with pytest.raises(ValueError, match="up to 32767 px a side"):
         rasterization(*random_gaussians(1, 0, None, 1), *turned_camera(8, 8), MAX_SIDE + 1, 1)
