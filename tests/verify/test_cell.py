@@ -193,6 +193,8 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "model cut": (write("model.ply", lambda c: c[:-9]), "model.ply cannot be read: ", True),
     "absurd model": (
         write("model.ply", lambda c: c.replace(b"vertex 300", b"vertex 300000000000")), "early end-of-file", True),
+    "another model": (
+        lambda c: shutil.copy(c / "model_rgb.ply", c / "model.ply"), "the model gives (36, 48, 3)", True),
     "model of RGB": (remove("model_rgb.ply"), "model_rgb.ply cannot be read: ", True),
     "render": (painted(f"renders/{VIEW}.png"), f"renders/{VIEW}.png is not what model.ply gives", True),
     "render changed": (painted(f"renders/{VIEW}.png"), f"renders/{VIEW}.png has changed", False),
