@@ -45,19 +45,14 @@ def watching(count: int = COUNT) -> GradientStatistics:
 def test_one_pass_leaves_the_bytes_of_two(threads, channels, used):
     """Over several batches of Gaussians and a register that is not full."""
     count, left = 700, []
-    try:
-        pool.set_threads(threads)
-        for read_first in (False, True):
-            done, statistics = backward_pass(cloud(channels, 3, count=count), "cpu", used), watching(count)
-            gradients = done.gradients.compute() if read_first else done.gradients
-            done.optimizer.step(gradients, 1, statistics=statistics)
-            state = done.state
-            arrays = (state.values, state.first, state.second, state.bounds, state.clocks)
-            left.append(
-                ([array.numpy().tobytes() for array in arrays], statistics.grad_sum.tobytes(), gradients.touched)
-            )
-    finally:
-        pool.set_threads(None)
+    pool.set_threads(threads)
+    for read_first in (False, True):
+        done, statistics = backward_pass(cloud(channels, 3, count=count), "cpu", used), watching(count)
+        gradients = done.gradients.compute() if read_first else done.gradients
+        done.optimizer.step(gradients, 1, statistics=statistics)
+        state = done.state
+        arrays = (state.values, state.first, state.second, state.bounds, state.clocks)
+        left.append(([array.numpy().tobytes() for array in arrays], statistics.grad_sum.tobytes(), gradients.touched))
     assert left[0] == left[1] and left[0][2] > 300
 
 

@@ -140,15 +140,12 @@ def test_bitwise_equal_on_any_number_of_threads():
     results = []
     parameters = random_gaussians(3000, 11, 1, 3)
     weights = torch.randn(1, 90, 120, 4), torch.randn(1, 90, 120, 1)
-    try:
-        for threads in (1, 2, 3):
-            pool.set_threads(threads)
-            image, alpha, grads, _ = render(
-                parameters, turned_camera(120, 90), (120, 90), "cpu", weights, sh_degree=1, render_mode="RGB+D"
-            )
-            results.append([image, alpha, *grads.values()])
-    finally:
-        pool.set_threads(None)
+    for threads in (1, 2, 3):
+        pool.set_threads(threads)
+        image, alpha, grads, _ = render(
+            parameters, turned_camera(120, 90), (120, 90), "cpu", weights, sh_degree=1, render_mode="RGB+D"
+        )
+        results.append([image, alpha, *grads.values()])
     for other in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 

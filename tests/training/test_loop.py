@@ -47,12 +47,9 @@ def test_a_step_reads_no_number_from_the_device(small_scene, name):
 @pytest.mark.parametrize("name", METHODS)
 def test_same_seed_same_bytes(small_gray_scene, name):
     digests = []
-    try:
-        for threads in (1, 2, 2):
-            pool.set_threads(threads)
-            digests.append(digest(trained(small_gray_scene, name)[0]))
-    finally:
-        pool.set_threads(None)
+    for threads in (1, 2, 2):
+        pool.set_threads(threads)
+        digests.append(digest(trained(small_gray_scene, name)[0]))
     assert len(set(digests)) == 1
     assert digest(trained(small_gray_scene, name, seed=1)[0]) != digests[0]
 
