@@ -16,6 +16,15 @@ def test_a_thousand_gaussians_are_exact(seed):
     assert errors.image < 5e-6 and errors.gradients < 1e-5 and want.undecided.double().mean() < 0.02
 
 
+def test_needles_lose_no_digits():
+    """Their determinant, and what the inverse of their covariance does to an axis, are differences of large numbers."""
+    scene = cloud(60, 3, 80, 60, channels=3)
+    scene.scales[:] = torch.tensor([100, 1e-3, 1e-3])
+    want = expected(scene, "cpu")
+    errors = want.errors(render(scene, "cpu", want.weights))
+    assert errors.image < 1e-3 and errors.gradients < 1e-3
+
+
 def test_two_renders_before_one_backward():
     """Each render has separate lists: two models in one loss (as in MSMG) get the right gradients."""
     camera = turned_camera(30, 20)
