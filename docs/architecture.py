@@ -14,6 +14,7 @@ from html import escape
 from pathlib import Path
 
 import grimp
+import networkx as nx
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "architecture.svg"
@@ -45,33 +46,10 @@ def imports(packages: list[str]) -> Edges:
     return {(a, b) for a, b in pairs if a is not None and b is not None and a != b}
 
 
-def reduced(edges: Edges) -> Edges:
-    """Edges that no chain of other edges implies."""
-
-    def is_implied(start: str, end: str) -> bool:
-        pending, visited = [b for a, b in edges if a == start and b != end], set()
-        while pending:
-            node = pending.pop()
-            if node == end:
-                return True
-            if node not in visited:
-                visited.add(node)
-                pending += [b for a, b in edges if a == node]
-        return False
-
-    return {edge for edge in edges if not is_implied(*edge)}
-
-
-def depths(packages: list[str], edges: Edges) -> dict[str, int]:
+def depths(edges: nx.DiGraph) -> dict[str, int]:
     """Length of the longest chain of imports below each package."""
-    found: dict[str, int] = {}
-
-    def depth(name: str) -> int:
-        if name not in found:
-            found[name] = max((1 + depth(b) for a, b in edges if a == name), default=0)
-        return found[name]
-
-    return {name: depth(name) for name in packages}
+    generations = nx.topological_generations(edges.reverse())
+    return {name: depth for depth, names in enumerate(generations) for name in names}
 
 
 def columns(depth: dict[str, int], edges: Edges) -> dict[str, int]:
@@ -87,8 +65,9 @@ def columns(depth: dict[str, int], edges: Edges) -> dict[str, int]:
 def picture() -> str:
     """The SVG."""
     folders = package_folders()
-    all_edges = imports(list(folders))
-    depth, edges = depths(list(folders), all_edges), sorted(reduced(all_edges))
+    graph = nx.DiGraph(imports(list(folders)))
+    graph.add_nodes_from(folders)
+    depth, edges = depths(graph), sorted(nx.transitive_reduction(graph).edges)
     column = columns(depth, set(edges))
     top = max(depth.values())
     corners = {

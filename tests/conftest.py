@@ -56,6 +56,13 @@ def small_scenes_are_shared_by_threads() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
+def every_core_is_used_again() -> Iterator[None]:
+    """By the next test, whatever number of threads this one sets."""
+    yield
+    pool.set_threads(None)
+
+
+@pytest.fixture(autouse=True)
 def gpu_where_one_is_needed(request) -> None:
     """Skip tests marked `cuda` where there is no GPU."""
     if request.node.get_closest_marker("cuda") is not None and not torch.cuda.is_available():

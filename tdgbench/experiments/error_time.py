@@ -21,7 +21,6 @@ from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.bench.signature import Problem
 from tdgbench.experiments.experiment import Experiment, error_message, prepare_prior
-from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.scenes import Scene
@@ -29,6 +28,7 @@ from tdgbench.scoring import METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.claims.quantities import first_at
+from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 from tdgbench.training.budget import Budget
 from tdgbench.training.loop import TrainingLog, train

@@ -26,10 +26,10 @@ from tdgbench.experiments.matrix import (
     values_of,
 )
 from tdgbench.experiments.prior_accuracy import Accuracy, PriorErrors, measure_prior, source
-from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.as_csv import as_csv
+from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 
 NONE = "none"  # TDg without its depth loss

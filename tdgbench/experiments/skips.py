@@ -16,9 +16,9 @@ from tdgbench.bench.record import Record
 from tdgbench.bench.signature import Problem
 from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.matrix import Axes, AxisValue, MatrixOptions, check_all_ran, run_cells, table_of, values_of
-from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.tables.as_csv import as_csv
+from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 from tdgbench.training.skips import RULES, SWITCHES
 

@@ -27,12 +27,12 @@ from tdgbench.experiments.matrix import (
     table_of,
     values_of,
 )
-from tdgbench.experiments.show import format_columns, show_table
 from tdgbench.files import write_text
 from tdgbench.scenes.synthetic.drifting import DriftingDataset
 from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.long_table import metric_value
+from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 from tdgbench.thermal.camera import ViewResponses, normalized, normalized_truth
 from tdgbench.thermal.maps import TERMS, evaluate

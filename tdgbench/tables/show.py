@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pandas as pd
 from rich.table import Column, Table
@@ -17,6 +19,28 @@ from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
 PROSE = 60  # characters of a column of sentences where there is no terminal, and so no width to share
+
+
+def show_table(table: pd.DataFrame, title: str | None = None) -> None:
+    """Print a table of text, none of which is rich's markup."""
+    view = Table(*map(str, table.columns), title=title)
+    for row in table.itertuples(index=False):
+        view.add_row(*map(_name, row))
+    console().print(view)
+
+
+def format_columns(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) -> pd.DataFrame:
+    """Return some columns of a table as text, `n/a` for missing numbers. columns: title and format by name.
+
+    >>> format_columns(pd.DataFrame({"psnr": [24.061, float("nan")]}), {"psnr": ("PSNR", "{:.2f} dB")})["PSNR"].tolist()
+    ['24.06 dB', 'n/a']
+    """
+    return pd.DataFrame(
+        {
+            title: ["n/a" if pd.isna(value) else form.format(value) for value in table[name]]
+            for name, (title, form) in columns.items()
+        }
+    )
 
 
 def show_tables(tables: Tables) -> None:
@@ -57,17 +81,15 @@ def show_claims(claims: pd.DataFrame) -> None:
 
 def show_sensitivity(sensitivity: pd.DataFrame) -> None:
     """Print how far each convention moves the scores, and what it changes in the order of methods."""
-    table = Table("score", "convention", "change: mean", "largest", "reversed pairs", "other best")
+    rows = []
     for row in sensitivity.to_dict("records"):
-        label = MEASURES[row["score"]].label
-        if row["reason"]:
-            table.add_row(label, row["convention"], "n/a", "n/a", "n/a", "n/a")
-            continue
-        changes = (as_text(row["score"], row[name], form="+.3f") for name in ("mean_change", "largest_change"))
-        table.add_row(
-            label, row["convention"], *changes, f"{row['reversed']} of {row['pairs']}", str(row["other_best"])
-        )
-    console().print(table)
+        numbers = ["n/a"] * 4
+        if not row["reason"]:
+            changes = (as_text(row["score"], row[name], form="+.3f") for name in ("mean_change", "largest_change"))
+            numbers = [*changes, f"{row['reversed']} of {row['pairs']}", row["other_best"]]
+        rows.append([MEASURES[row["score"]].label, row["convention"], *numbers])
+    heads = ["score", "convention", "change: mean", "largest", "reversed pairs", "other best"]
+    show_table(pd.DataFrame(rows, columns=heads))
     for reason in sensitivity.loc[sensitivity["reason"] != "", "reason"].unique():
         say(one_line(f"n/a: {reason}"))
 
@@ -113,12 +135,11 @@ def _show_main(tables: Tables) -> None:
 def _show_ablation(tables: Tables) -> None:
     described = [MEASURES[metric] for metric in ABLATION]
     heads = (metric.column + (f", {metric.images}" if metric.images else "") for metric in described)
-    table = Table("method", "initial points", *heads)
-    for (method, init), group in tables.main.groupby(["method", "init"], sort=False):
+    rows = []
+    for names, group in tables.main.groupby(["method", "init"], sort=False):
         values = group.set_index("metric")["value"]
-        texts = ["n/a" if np.isnan(values[m]) else as_text(m, values[m], OVERALL) for m in ABLATION]
-        table.add_row(_name(method), _name(init), *texts)
-    console().print(table)
+        rows.append([*names, *("n/a" if np.isnan(values[m]) else as_text(m, values[m], OVERALL) for m in ABLATION)])
+    show_table(pd.DataFrame(rows, columns=["method", "initial points", *heads]))
     for origin in initial_points(tables.main):
         say(one_line(origin))
 
@@ -128,19 +149,16 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame) -> None:
 
     Single scenes are in readings.csv and effects.csv.
     """
-    table = Table("method", "iterations", "scene", *(MEASURES[m].column for m in SHOWN))
-    for (method, iterations, scene), group in with_setup(widest_average(readings), "method").groupby(
+    rows = []
+    for names, group in with_setup(widest_average(readings), "method").groupby(
         ["method", "iterations", "scene"], sort=False
     ):
         values = group.groupby("metric")["value"].mean()
-        texts = [as_text(m, values[m], str(scene)) if m in values else "n/a" for m in SHOWN]
-        table.add_row(_name(method), str(iterations), _name(scene), *texts)
-    console().print(table)
+        rows.append([*names, *(as_text(m, values[m], str(names[2])) if m in values else "n/a" for m in SHOWN)])
+    heads = ["method", "iterations", "scene", *(MEASURES[m].column for m in SHOWN)]
+    show_table(pd.DataFrame(rows, columns=heads))
     heads, rows = changes_as_text(effects)
-    table = Table(*heads)
-    for row in rows:
-        table.add_row(*(_name(text) for text in row))
-    console().print(table)
+    show_table(pd.DataFrame(rows, columns=heads))
 
 
 def _show_reasons(tables: Tables) -> None:

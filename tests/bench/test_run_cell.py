@@ -3,7 +3,6 @@ import shutil
 
 import numpy as np
 import pytest
-from PIL import Image
 from rich.console import Console
 
 from methods.gaussian_splatting import GaussianSplatting
@@ -79,19 +78,6 @@ def test_the_data_folder_is_only_read(run, data_root):
     assert list((run.experiment.parent / "cache" / "priors").iterdir())
 
 
-def test_scores_are_those_of_the_stored_pictures(run):
-    from tdgbench.scoring.metrics.psnr import psnr
-
-    run("scene=orbit", "method=3dgs")
-    record = read_all(run.experiment)[0]
-    folder = run.experiment / "cells" / "3dgs" / "synthetic" / "orbit" / "colmap" / "seed0"
-    values = []
-    for path in sorted((folder / "renders").iterdir()):
-        a, b = (np.asarray(Image.open(p)) / 255 for p in (path, folder / "targets" / path.name))
-        values.append(psnr(a, b))
-    assert record.scores["psnr"] == pytest.approx(np.mean(values), abs=1e-5)
-
-
 def test_same_cell_same_bytes_and_is_not_run_twice(run):
     assert run("method=tdg").status == "ok"
     first = read_all(run.experiment)[0]
@@ -100,14 +86,6 @@ def test_same_cell_same_bytes_and_is_not_run_twice(run):
     again = read_all(run.experiment)[0]
     assert hashes_of_content(first.hashes) == hashes_of_content(again.hashes)
     assert first.scores == again.scores and first.key == again.key
-
-
-def test_other_settings_run_again(run):
-    assert run("method=3dgs").status == "ok"
-    assert run("method=3dgs", "budget.iterations=31").status == "ok"
-    kept = run("method=3dgs", "overwrite=never")
-    assert kept.status == "kept" and "overwrite=never" in kept.message
-    assert read_all(run.experiment)[0].iterations == 31
 
 
 def test_random_points(run):
@@ -157,26 +135,11 @@ def test_non_finite_training_is_recorded(run, monkeypatch):
     assert failure.phase == "train" and failure.iteration is not None and failure.iteration >= 7 and failure.tensor
 
 
-def test_an_out_of_memory_error_is_recorded(run, monkeypatch):
-    def huge(self, context):
-        np.empty((2**50,), np.float64)
-
-    monkeypatch.setattr(GaussianSplatting, "setup", huge)
-    outcome = run("method=3dgs")
-    failure = read_all(run.experiment)[0].failure
-    assert outcome.status == "failed" and failure.phase == "init" and "MemoryError: Unable to allocate" in failure.error
-
-
 def test_missing_scenes_write_nothing(run, tmp_path):
     cfg = config("dataset=rgbt_scenes", f"data.root={tmp_path}", f"results={tmp_path / 'results'}")
     outcome = run_quietly(cfg)
     assert outcome.status == "missing" and "RGBT-Scenes" in outcome.message
     assert not (run.experiment / "cells").exists()
-
-
-def test_a_wrong_option_fails_its_cell(run):
-    outcome = run("overwrite=maybe")
-    assert outcome.status == "failed" and "overwrite=maybe: must be only-missing, always or never" in outcome.message
 
 
 def test_a_cell_that_another_process_runs_is_not_run(run, tmp_path):
@@ -211,7 +174,9 @@ def test_the_outcome_names_what_changed(run):
     outcome = run("method=3dgs", "budget.iterations=31")
     assert outcome.status == "ok" and outcome.message == "run again, changed: budget.iterations: 30 → 31"
     kept = run("method=3dgs", "overwrite=never", "seed=0", "budget.sh_degree=0")
-    assert kept.status == "kept" and "budget.sh_degree: 1 → 0" in kept.message
+    assert kept.status == "kept" and "overwrite=never" in kept.message
+    assert "budget.sh_degree: 1 → 0" in kept.message
+    assert read_all(run.experiment)[0].iterations == 31
 
 
 def test_a_cell_that_is_kept_decodes_no_image(run, small_scene, tmp_path, monkeypatch):

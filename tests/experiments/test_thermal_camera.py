@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tdgbench.experiments.show import format_columns
 from tdgbench.experiments.thermal_camera import SHOWN, ThermalCameraExperiment, summary
 from tdgbench.priors import PriorUnavailableError
+from tdgbench.tables.show import format_columns
 from tests.helpers.configs import config
 from tests.helpers.scenes import small_dataset
 

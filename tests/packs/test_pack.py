@@ -106,31 +106,14 @@ def added(name: str) -> Callable[[Entries], Entries]:
     return lambda content: {**content, name: b"x"}
 
 
-def swapped(one: str, other: str) -> Callable[[Entries], Entries]:
-    return lambda content: {**content, one: content[other], other: content[one]}
-
-
 def score(record: dict) -> None:
     record["scores"]["psnr"] += 1.0
 
 
-RECORD, VIEWS = f"{CELL}/record.json", f"{CELL}/views.csv"
-RENDER, OTHER = f"{CELL}/renders/view000.png", f"{CELL}/renders/view005.png"
-TAMPERINGS = {
+RECORD, RENDER = f"{CELL}/record.json", f"{CELL}/renders/view000.png"
+TAMPERINGS = {  # those of a cell are in tests/verify/test_cell.py
     "a score": at(RECORD, edited(score)),
-    "a seed": at(RECORD, edited(lambda record: record.update(seed=1))),
-    "a scene": at(RECORD, edited(lambda record: record.update(scene="orbit"))),
-    "the protocol": at(RECORD, edited(lambda record: record.update(protocol="1-00000000"))),
-    "an option": at(RECORD, edited(lambda record: record["config"]["budget"].update(iterations=9))),
-    "a training time": at(RECORD, edited(lambda record: record["seconds"].update(train=0.0))),
-    "a number of Gaussians": at(RECORD, edited(lambda record: record["parts"]["thermal"].update(gaussians=1))),
-    "a row of views.csv": at(VIEWS, lambda data: data.replace(b"view000,", b"view000,9", 1)),
-    "a render": at(RENDER, lambda data: data[:-20] + bytes(20)),
-    "renders that are swapped": swapped(RENDER, OTHER),
     "no render": without(RENDER),
-    "no record": without(RECORD),
-    "no log": without(f"{CELL}/log.csv"),
-    "a model": at(f"{CELL}/model.ply", lambda data: data[:-4] + bytes(4)),
     "a file more": added(f"{CELL}/notes.txt"),
 }
 

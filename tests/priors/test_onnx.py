@@ -144,12 +144,9 @@ def real_network() -> str:
 
 def test_a_real_network_gives_the_same_map_with_any_number_of_threads(real_network, small_scene):
     view, maps = small_scene.train[0], []
-    try:
-        for threads in (1, 2, 2):
-            pool.set_threads(threads)
-            maps.append(make("onnx", model=real_network).estimate(small_scene, view).check(view).values)
-    finally:
-        pool.set_threads(None)
+    for threads in (1, 2, 2):
+        pool.set_threads(threads)
+        maps.append(make("onnx", model=real_network).estimate(small_scene, view).check(view).values)
     assert np.ptp(maps[0]) > 0 and all(np.array_equal(maps[0], other) for other in maps[1:])
 
 

@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
@@ -18,6 +17,7 @@ from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
 from tdgbench.terminal import printable
 from tests.helpers.browser import CHROMIUM, opened
+from tests.helpers.html_page import HtmlPage
 from tests.helpers.records import published_as_records, write, write_ablation
 
 ACT = """(() => {
@@ -43,19 +43,6 @@ def page(tmp_path_factory, small_results):
     return write_report(experiment, build_tables(experiment))
 
 
-class Sources(HTMLParser):
-    """Everything that the page would fetch."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.found: list[str] = []
-        self.opened: list[str] = []
-
-    def handle_starttag(self, tag, attrs):
-        self.found += [value for name, value in attrs if name in ("src", "href", "xlink:href") and value]
-        self.opened.append(tag)
-
-
 def test_the_depth_prior_is_named(page):
     text = page.read_text(encoding="utf-8")
     assert "Depth prior of TDg: synthetic, made from true depth, with the errors of a monocular network" in text
@@ -63,11 +50,10 @@ def test_the_depth_prior_is_named(page):
 
 def test_everything_is_in_the_file(page):
     text = page.read_text()
-    parser = Sources()
-    parser.feed(text)
-    assert parser.found and all(s.startswith(("data:", "#")) for s in parser.found)
+    parsed = HtmlPage(text)
+    assert parsed.links and all(link.startswith(("data:", "#")) for link in parsed.links)
     assert "url(http" not in text and "@import" not in text
-    assert parser.opened.count("section") == 2 and text.count('class="slider"') == 3
+    assert parsed.tags.count("section") == 2 and text.count('class="slider"') == 3
     for part in ("turntable", "msmg", "14 °C", "50 °C", "training views", "2 of 3 channels", "backend cuda cannot run"):
         assert part in text, part
     assert len(re.findall(r"<svg", text)) == 2
@@ -95,27 +81,11 @@ def test_an_ablation(tmp_path):
     assert text.count('class="note undecided"') == 8 and "40.00" in text
 
 
-class Text(HTMLParser):
-    """Texts and attributes of a page, and the tags that it opens."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.texts, self.tags, self.attributes = set[str](), list[str](), set[str]()
-        self.feed(page)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append(tag)
-        self.attributes |= {name for name, _ in attrs}
-
-    def handle_data(self, data):
-        self.texts.add(data)
-
-
 HOSTILE = ("<script>alert(1)</script>", '"a" onload="x', "a\x1b[2Jb", "\u202eevil", "{{ 1 }}", "=1+1")
 
 
 def test_names_are_text_on_the_page(tmp_path):
-    plain, page = (Text(page_of(tmp_path / folder, names)) for folder, names in (("a", ["x"]), ("b", HOSTILE)))
+    plain, page = (HtmlPage(page_of(tmp_path / folder, names)) for folder, names in (("a", ["x"]), ("b", HOSTILE)))
     assert page.tags.count("script") == 1 and set(page.tags) == set(plain.tags) and page.attributes == plain.attributes
     for name in HOSTILE:
         assert printable(name) in page.texts and f"failed: {printable(name)}" in page.texts, name

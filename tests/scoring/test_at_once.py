@@ -11,10 +11,9 @@ from tdgbench.splats.cpu import pool
 
 
 @pytest.fixture(autouse=True)
-def same_threads_afterwards():
+def torch_has_its_threads_again():
     before = torch.get_num_threads()
     yield
-    pool.set_threads(None)
     torch.set_num_threads(before)
 
 

@@ -105,7 +105,6 @@ def test_scores_do_not_depend_on_the_number_of_threads(small_scene, squeeze_weig
         scoring = instantiate(config("metrics.lpips.net=squeeze", f"metrics.lpips.weights={squeeze_weights}").metrics)
         scores = scoring.score(small_scene, renders)
         found.append((scores, scoring.score_train(small_scene.train, renders), scoring.missing))
-    pool.set_threads(None)
     assert found[0] == found[1] == found[2]
     assert list(found[0][0]) == [view.name for view in small_scene.test] and len(found[0][0]) > 1
     assert found[0][1] == {v.name: scoring.score_train([v], renders)[v.name] for v in small_scene.train}
@@ -127,7 +126,6 @@ def test_the_network_is_loaded_once(small_scene, monkeypatch):
     scoring = scorer()
     renders = {v.name: RenderedImages(v.thermal, v.true_depth) for v in small_scene.test}
     assert {values["lpips"] for values in scoring.score(small_scene, renders).values()} == {0.25}
-    pool.set_threads(None)
     assert loaded == ["alex"]
 
 

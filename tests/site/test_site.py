@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -18,6 +17,7 @@ from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import COLUMNS, as_text
 from tdgbench.tables.published import published_main
 from tests.helpers.browser import CHROMIUM, opened
+from tests.helpers.html_page import HtmlPage
 from tests.helpers.records import published_as_records, write, write_record
 from tests.helpers.records import record as record_of
 
@@ -25,42 +25,8 @@ MEGABYTE = 2**20
 ODD = """<script>alert("1")</script> & 'it' #?%"""
 
 
-class Page(HTMLParser):
-    """What a page links to, the ids in it, and the text of its tables' cells."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.links: list[str] = []
-        self.ids: list[str] = []
-        self.tables: list[list[list[str]]] = []
-        self.scripts = 0
-        self._cell: list[str] | None = None
-        self.feed(text)
-
-    def handle_starttag(self, tag, attributes):
-        found = dict(attributes)
-        self.links += [found[name] for name in ("href", "src") if found.get(name)]
-        self.ids += [found["id"]] if "id" in found else []
-        self.scripts += tag == "script"
-        if tag == "table":
-            self.tables.append([])
-        elif tag == "tr":
-            self.tables[-1].append([])
-        elif tag in ("td", "th"):
-            self._cell = []
-
-    def handle_endtag(self, tag):
-        if tag in ("td", "th"):
-            self.tables[-1][-1].append(" ".join("".join(self._cell).split()))
-            self._cell = None
-
-    def handle_data(self, data):
-        if self._cell is not None:
-            self._cell.append(data)
-
-
-def pages(site: Path) -> dict[Path, Page]:
-    return {path: Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
+def pages(site: Path) -> dict[Path, HtmlPage]:
+    return {path: HtmlPage(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
 
 
 def make(folder: Path, *packs: Path) -> Path:
@@ -113,7 +79,7 @@ def test_all_links_resolve(site):
 
 def rows_of_index(site: Path) -> list[list[str]]:
     """Rows of the leaderboards: method, scene, a number of each of COLUMNS, seeds, pack."""
-    index = Page((site / "index.html").read_text(encoding="utf-8"))
+    index = HtmlPage((site / "index.html").read_text(encoding="utf-8"))
     return [row for table in index.tables if table[0][0] == "method" for row in table[1:]]
 
 
@@ -152,7 +118,7 @@ def test_published_numbers_and_verdicts_stand_beside(site):
 
 def test_names_are_text(site):
     found = pages(site)
-    assert all(page.scripts == 1 for page in found.values())
+    assert all(page.tags.count("script") == 1 for page in found.values())
     texts = [cell for page in found.values() for table in page.tables for row in table for cell in row]
     assert any(ODD in text for text in texts)
     assert not [path for path in found if "<script>alert" in path.read_text(encoding="utf-8")]
@@ -164,7 +130,7 @@ def test_equal_packs_give_equal_bytes(site, packed, odd, published, tmp_path):
     assert {path.relative_to(again): path.read_bytes() for path in again.rglob("*") if path.is_file()} == files
 
 
-def weight(path: Path, page: Page) -> int:
+def weight(path: Path, page: HtmlPage) -> int:
     files = {(path.parent / unquote(link.partition("#")[0])).resolve() for link in page.links}
     return path.stat().st_size + sum(f.stat().st_size for f in files if f.suffix in (".png", ".css", ".js"))
 

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -107,50 +108,6 @@ def test_agrees_with_reference(backend, mode, channels, degree):
     )  # fmt: skip
 
 
-def adversarial(kind: str) -> list[torch.Tensor]:
-    p = random_gaussians(60, seed=7, degree=None, channels=3)
-    means, quats, scales, opacities, _ = p
-    if kind == "needles":
-        scales[:, 0], scales[:, 1:] = 1.5, 0.002
-    elif kind == "pancakes":
-        scales[:, 2], scales[:, :2] = 1e-6, 0.4
-    elif kind == "tiny":
-        scales[:] = 1e-8
-    elif kind == "huge":
-        scales[:10] = 30.0
-    elif kind == "coincident":
-        means[1:30] = means[0]
-    elif kind == "behind and beside":
-        means[:20, 2] = -means[:20, 2]
-        means[20:40, 0] += 40.0
-    elif kind == "at the near plane":
-        means[:20, 2] = torch.linspace(-0.2, 0.4, 20)
-    elif kind == "opaque and faint":
-        opacities[:20], opacities[20:40] = 1.0, 1 / 300
-    elif kind == "many layers":
-        means[:, :2] *= 0.05
-        opacities[:] = 0.9
-    elif kind == "long quaternions":
-        quats[:] *= torch.logspace(-6, 6, 60)[:, None]
-    return p
-
-
-@pytest.mark.parametrize("backend", FAST_BACKENDS)
-@pytest.mark.parametrize(
-    "kind",
-    ["needles", "pancakes", "tiny", "huge", "coincident", "behind and beside", "at the near plane", "opaque and faint",
-     "many layers", "long quaternions"],
-)  # fmt: skip
-def test_adversarial_scenes(backend, kind):
-    compare(adversarial(kind), turned_camera(40, 33), (40, 33), backend, render_mode="RGB+D")
-
-
-@pytest.mark.parametrize("backend", FAST_BACKENDS)
-@pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 3), (129, 5), (2, 70)])
-def test_image_sizes(backend, size):
-    compare(random_gaussians(80, 3, None, 3), turned_camera(*size), size, backend, render_mode="RGB+D")
-
-
 @pytest.mark.parametrize("backend", ["reference", *FAST_BACKENDS])
 def test_no_gaussians(backend):
     image, alpha, _, meta = render(
@@ -183,30 +140,24 @@ def test_bitwise_equal_on_any_number_of_threads():
     results = []
     parameters = random_gaussians(3000, 11, 1, 3)
     weights = torch.randn(1, 90, 120, 4), torch.randn(1, 90, 120, 1)
-    try:
-        for threads in (1, 2, 3):
-            pool.set_threads(threads)
-            image, alpha, grads, _ = render(
-                parameters, turned_camera(120, 90), (120, 90), "cpu", weights, sh_degree=1, render_mode="RGB+D"
-            )
-            results.append([image, alpha, *grads.values()])
-    finally:
-        pool.set_threads(None)
+    for threads in (1, 2, 3):
+        pool.set_threads(threads)
+        image, alpha, grads, _ = render(
+            parameters, turned_camera(120, 90), (120, 90), "cpu", weights, sh_degree=1, render_mode="RGB+D"
+        )
+        results.append([image, alpha, *grads.values()])
     for other in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 
 
 @pytest.mark.slow
 def test_the_other_width_of_registers():
-    """Kernels compiled for the width that this processor does not choose, in a process of their own, agree as well.
-
-    The tests share one variant of the kernels, of three channels and depth.
-    """
+    """Kernels compiled for the width that this processor does not choose, in a process of their own, agree as well."""
     lanes = "16" if jit.lanes() == 8 else "8"
-    tests = ["test_adversarial_scenes", "test_several_cameras", "test_image_sizes", "test_bitwise_equal_on_any"]
-    chosen = f"({' or '.join(tests)}) and not warp"
+    stress = Path(__file__).parents[1] / "experiments" / "stress" / "test_run.py"
+    chosen = "(geometry or appearance or test_several_cameras or test_bitwise_equal_on_any) and not warp"
     run = subprocess.run(
-        [sys.executable, "-m", "pytest", __file__, "-x", "-k", chosen, "-p", "no:cacheprovider"],
+        [sys.executable, "-m", "pytest", __file__, stress, "-x", "-k", chosen, "-p", "no:cacheprovider"],
         env={**os.environ, "TDGBENCH_LANES": lanes}, cwd=ROOT, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     assert run.returncode == 0, run.stdout[-3000:]

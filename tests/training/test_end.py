@@ -6,7 +6,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tdgbench.training.budget import PlateauRule
-from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.stopping import Plateau
 from tests.helpers.configs import config
@@ -80,26 +79,6 @@ def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
     assert ends[0] == 32 + 2 * views
     rules = instantiate(config("budget=demo", *OFTEN).budget.density)
     assert ends[3] == next(i for i in range(ends[0], 1000) if rules.has_recovered(i, 1000))
-
-
-def test_a_training_that_went_on_from_a_checkpoint_ends_alike(small_gray_scene, tmp_path):
-    trainer = ready_to_train(small_gray_scene, "3dgs", 60, *OFTEN)
-    checkpoint = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0)
-    log = checkpoint.resume(trainer)
-
-    def killed(log):
-        checkpoint._next = 0.0
-        checkpoint.write_if_due(log)
-        if log.iterations == 59:
-            raise EnoughError
-
-    with pytest.raises(EnoughError):
-        train(trainer, after_iteration=killed, log=log)
-    trainer = ready_to_train(small_gray_scene, "3dgs", 60, *OFTEN)
-    log = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).resume(trainer)
-    assert log.iterations == 59
-    train(trainer, log=log)
-    assert digest(trainer) == saved_at(small_gray_scene, 60)
 
 
 LENGTHS = st.builds(

@@ -71,24 +71,9 @@ def test_losses_stay_on_the_device_of_the_image(reading):
     assert depth.grad.device.type == "meta"
 
 
-def test_equal_and_constant_images():
-    a = torch.rand(20, 20, 3)
-    assert ssim(a, a).item() == pytest.approx(1.0, abs=1e-6)
-    flat = torch.full((20, 20, 1), 0.5, requires_grad=True)
-    value = ssim(flat, torch.full((20, 20, 1), 0.5))
-    value.backward()
-    assert value.item() == pytest.approx(1.0, abs=1e-5) and torch.isfinite(flat.grad).all()
-
-
 def test_sizes_must_agree():
     with pytest.raises(ValueError, match="images to compare"):
         ssim(torch.zeros(4, 4, 1), torch.zeros(4, 5, 1))
-
-
-def test_photometric():
-    a, b = torch.rand(15, 15, 1), torch.rand(15, 15, 1)
-    expected = 0.8 * l1(a, b) + 0.2 * (1 - ssim(a, b))
-    assert photometric(a, b, 0.2).item() == pytest.approx(expected.item(), rel=1e-6)
 
 
 def test_smoothness_as_the_paper_writes_it():
@@ -101,17 +86,6 @@ def test_smoothness_as_the_paper_writes_it():
                     total += abs(t[ni, nj] - t[i, j])
     image = torch.from_numpy(t)[..., None]
     assert smoothness(image, "written").item() == pytest.approx(total / (4 * 20))
-
-
-def test_smoothness_as_the_released_code_computes_it():
-    t = np.random.default_rng(1).random((5, 4))
-    total = sum(np.abs(t - np.roll(t, s, axis)).sum() for axis in (0, 1) for s in (1, -1))
-    image = torch.from_numpy(t)[..., None].requires_grad_()
-    loss = smoothness(image, "released")
-    loss.backward()
-    assert loss.item() == pytest.approx(total / 20)
-    sign = sum(np.sign(t - np.roll(t, s, axis)) for axis in (0, 1) for s in (1, -1))
-    assert np.allclose(image.grad[..., 0].numpy(), sign / 20)  # the neighbours are constants
 
 
 def test_unknown_reading():
@@ -162,13 +136,6 @@ def test_min_max_gradient_is_a_difference_quotient():
     values = torch.tensor([[1.0, 2.0], [4.0, 3.0]], dtype=torch.float64, requires_grad=True)
     weights = torch.tensor([[0.3, -1.0], [0.5, 2.0]], dtype=torch.float64)
     assert torch.autograd.gradcheck(lambda v: min_max(v) * weights, values)
-
-
-def test_min_max_of_a_constant_map_is_zero():
-    flat = torch.full((5, 4), 2.5, requires_grad=True)
-    out = min_max(flat)
-    out.sum().backward()
-    assert not out.any() and not flat.grad.any()
 
 
 SIZES = [(40, 30, 1), (23, 19, 3), (1, 1, 1), (1, 26, 3), (12, 2, 1)]
@@ -250,15 +217,12 @@ def test_a_masked_loss_does_not_depend_on_the_threads():
     a, b = torch.rand(50, 40, 3), torch.rand(50, 40, 3)
     valid = torch.from_numpy(masks(50, 40)["at random"])
     found = []
-    try:
-        for threads in (1, 2, 3, 7):
-            pool.set_threads(threads)
-            x = a.clone().requires_grad_()
-            value = thermal_loss(x, b, 0.2, 0.6, "released", valid)
-            value.backward()
-            found.append((value.item(), x.grad.numpy().tobytes()))
-    finally:
-        pool.set_threads(None)
+    for threads in (1, 2, 3, 7):
+        pool.set_threads(threads)
+        x = a.clone().requires_grad_()
+        value = thermal_loss(x, b, 0.2, 0.6, "released", valid)
+        value.backward()
+        found.append((value.item(), x.grad.numpy().tobytes()))
     assert len(set(found)) == 1
 
 

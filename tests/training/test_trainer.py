@@ -9,13 +9,13 @@ from tdgbench.training.budget import PlateauRule
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.context import frames_of
 from tdgbench.training.images import THERMAL
-from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.loop import train
 from tdgbench.training.method import Method, Stage, Step
 from tdgbench.training.part import NonFiniteError
 from tdgbench.training.stopping import Plateau
 from tdgbench.training.trainer import Trainer
 from tests.helpers.training import digest_of_all as digest
-from tests.helpers.training import ready_to_train, train_killed
+from tests.helpers.training import ready_to_train
 
 ITERATIONS = 60
 OFTEN = (
@@ -73,10 +73,6 @@ def two_stages(scene, *overrides: str) -> Trainer:
     return ready_to_train(scene, "3dgs", ITERATIONS, *OFTEN, *overrides, method=CoarseToFine())
 
 
-def lines(log: TrainingLog):
-    return [(line.iteration, line.loss, line.psnr, line.gaussians) for line in log.lines]
-
-
 def test_a_stage_starts_from_the_gaussians_of_the_one_before(small_gray_scene):
     trainer, seen = two_stages(small_gray_scene), {}
 
@@ -108,14 +104,6 @@ def test_parts_of_a_finished_stage_are_kept_and_reported(small_gray_scene):
     assert reports["exposure"] == {"parameters": 2} and "views" not in reports
     assert reports["thermal"]["gaussians"] > reports["coarse/thermal"]["gaussians"]
     assert list(trainer.gaussians) == ["thermal"]
-
-
-def test_a_training_killed_in_any_stage_resumes_to_the_same_bytes(small_gray_scene, tmp_path):
-    calm = two_stages(small_gray_scene)
-    wanted = lines(train(calm)), digest(calm)
-    stops = [5, 19, 20, 21, 44, 59]
-    trainer, log = train_killed(lambda: two_stages(small_gray_scene), tmp_path / "a.pt", stops)
-    assert log.resumed == stops and (lines(log), digest(trainer)) == wanted
 
 
 def test_a_state_of_another_stage_starts_the_first_one_again_where_it_does_not_fit(small_gray_scene, tmp_path):

@@ -193,6 +193,8 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "model cut": (write("model.ply", lambda c: c[:-9]), "model.ply cannot be read: ", True),
     "absurd model": (
         write("model.ply", lambda c: c.replace(b"vertex 300", b"vertex 300000000000")), "early end-of-file", True),
+    "another model": (
+        lambda c: shutil.copy(c / "model_rgb.ply", c / "model.ply"), "the model gives (36, 48, 3)", True),
     "model of RGB": (remove("model_rgb.ply"), "model_rgb.ply cannot be read: ", True),
     "render": (painted(f"renders/{VIEW}.png"), f"renders/{VIEW}.png is not what model.ply gives", True),
     "render changed": (painted(f"renders/{VIEW}.png"), f"renders/{VIEW}.png has changed", False),
@@ -219,6 +221,8 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "no training scores": (edit(train_scores={}), "train_scores lacks psnr", True),
     "configuration": (edit(config__budget__iterations=40), "its configuration, data and code give", True),
     "no configuration": (with_key(edit(config={})), "its configuration has None", True),
+    "scene": (edit(scene="orbit"), "its configuration, data and code give", True),
+    "protocol": (edit(protocol="1-00000000"), "protocol is '1-00000000', its settings give", True),
     "seed": (edit(seed=5), "seed is 5, its configuration has 0", True),
     "border": (with_key(edit(config__metrics__ssim_border="nosuch")), "config.metrics.ssim_border: Input should", True),
     "metrics": (with_key(edit(config__metrics=[1])), "config.metrics: Input should be a valid dictionary", True),

@@ -6,9 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from tdgbench.verify import main, verify
 
@@ -30,48 +28,6 @@ def only_problem(experiment) -> str:
     assert count == 4 and len(problems) >= 1
     assert all(p.startswith("tdg/synthetic/turntable/colmap/seed0: ") for p in problems)
     return "\n".join(problems)
-
-
-def test_a_changed_picture(spoiled):
-    experiment, cell = spoiled
-    path = sorted((cell / "renders").glob("*.png"))[0]
-    values = np.asarray(Image.open(path)).copy()
-    values[5:15, 5:15] = 255 - values[5:15, 5:15]
-    Image.fromarray(values).save(path)
-    problem = only_problem(experiment)
-    assert f"renders/{path.name} has changed" in problem
-    assert "is not what model.ply gives" in problem and "views.csv: psnr of" in problem
-
-
-def test_a_changed_target_changes_the_scores(spoiled):
-    experiment, cell = spoiled
-    path = sorted((cell / "targets").glob("*.png"))[0]
-    Image.fromarray(np.asarray(Image.open(path)) // 2).save(path)
-    assert "record.json: psnr is" in only_problem(experiment)
-
-
-def test_another_model(spoiled, small_results):
-    experiment, cell = spoiled
-    other = small_results / "cells" / "tdg" / "synthetic" / "orbit" / "colmap" / "seed0" / "model.ply"
-    shutil.copy(other, cell / "model.ply")
-    problem = only_problem(experiment)
-    assert "model.ply has changed" in problem and "the model gives (36, 48, 3)" in problem
-
-
-def test_missing_and_foreign_files(spoiled):
-    experiment, cell = spoiled
-    path = sorted((cell / "renders").glob("*.png"))[0]
-    path.rename(path.with_name("other.png"))
-    problem = only_problem(experiment)
-    assert f"renders/{path.name} is missing" in problem and "renders/other.png is not in the record" in problem
-
-
-def test_edited_scores(spoiled):
-    experiment, cell = spoiled
-    record = json.loads((cell / "record.json").read_text())
-    record["scores"]["ssim"] += 0.01
-    (cell / "record.json").write_text(json.dumps(record))
-    assert "record.json: ssim is" in only_problem(experiment)
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,13 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
+import numpy as np
 import pytest
 
 from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.pool import threads_for  # before tests have all work shared
+from tdgbench.splats.cpu.simd import memory
 
 
 def test_results_come_in_order():
@@ -103,3 +106,16 @@ def test_chunks_cover_everything_once():
 def test_threads_must_be_positive():
     with pytest.raises(ValueError, match="threads is 0"):
         pool.set_threads(0)
+
+
+@kernel()
+def take(counter, out):
+    for i in range(out.shape[0]):
+        out[i] = memory.take_next(counter)
+
+
+def test_work_is_handed_out_once():
+    counter = np.zeros(1, np.int64)
+    taken = [np.zeros(10_000, np.int64) for _ in range(3)]
+    pool.run(take, [(counter, out) for out in taken])
+    assert np.array_equal(np.sort(np.concatenate(taken)), np.arange(30_000))

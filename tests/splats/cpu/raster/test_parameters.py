@@ -1,10 +1,10 @@
 import numpy as np
 
-from tdgbench.splats.columns import COLORS_AT, OPACITY_AT, SCALES_AT
+from tdgbench.splats.columns import OPACITY_AT, SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.parameters import GATHERED, collect, deviations, opacity_and_log2
-from tdgbench.splats.cpu.raster.source import source_of_arrays, source_of_rows
-from tdgbench.splats.cpu.simd.memory import aligned_floats, load, put_column
+from tdgbench.splats.cpu.raster.source import source_of_rows
+from tdgbench.splats.cpu.simd.memory import aligned_floats, put_column
 from tdgbench.splats.cpu.simd.registers import LANES
 
 COUNT = 25 * LANES
@@ -22,27 +22,6 @@ def activate_all(rows, parameters, out):
         put_column(out, k, 5, 2, s0)
         put_column(out, k, 5, 3, s1)
         put_column(out, k, 5, 4, s2)
-
-
-@kernel()
-def collect_all(rows, parameters, colors, out):
-    gathered = aligned_floats(GATHERED * LANES)
-    for k in range(0, rows.shape[0], LANES):
-        collect(parameters, rows, k, colors, gathered)
-        for c in range(out.shape[1]):
-            put_column(out, k, out.shape[1], c, load(gathered, c * LANES))
-
-
-def test_rows_and_arrays_are_collected_alike():
-    rng = np.random.default_rng(1)
-    values = rng.random((90, 32)).astype(np.float32)
-    rows = rng.integers(0, 90, 3 * LANES).astype(np.int32)
-    parts = [values[:, :3], values[:, 3:7], values[:, SCALES_AT : SCALES_AT + 3], values[:, OPACITY_AT]]
-    arrays = [np.ascontiguousarray(part) for part in (*parts, values[:, COLORS_AT : COLORS_AT + 9])]
-    for source in (source_of_rows(values, np.empty((90, 4), np.float32), 0.0, 0.0), source_of_arrays(arrays)):
-        out = np.zeros((3 * LANES, COLORS_AT + 9), np.float32)
-        collect_all(rows, source.parameters, 9, out)
-        assert np.array_equal(out, values[rows, : COLORS_AT + 9])
 
 
 def test_activations():

@@ -3,7 +3,6 @@ import torch
 
 from tdgbench.splats import Gaussians
 from tdgbench.splats.columns import COLORS_AT
-from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.raster import blocks
 from tdgbench.splats.cpu.raster.passes import blend_backward, forward
 from tdgbench.splats.cpu.raster.source import source_of_rows
@@ -73,19 +72,6 @@ def test_the_forward_pass_finds_the_blocks_in_which_a_gaussian_has_weight():
     assert 6 < visited < 1 + layers
 
 
-def test_the_same_on_any_number_of_threads():
-    parameters, (views, Ks) = random_gaussians(2000, 5, 2, 3), turned_camera(70, 50)
-    settings, found = settings_for((views[0], Ks[0]), 70, 50, 3, 2, True), []
-    try:
-        for threads in (1, 2, 5):
-            pool.set_threads(threads)
-            done = forward(source_of(parameters), settings)
-            found.append([image.tobytes() for image in done.images])
-    finally:
-        pool.set_threads(None)
-    assert found[0] == found[1] == found[2]
-
-
 def test_only_gaussians_that_a_pixel_depends_on_get_rows():
     parameters = random_gaussians(500, 3, None, 1)
     parameters[0][::2, 2] = -5  # behind the camera
@@ -100,20 +86,3 @@ def test_only_gaussians_that_a_pixel_depends_on_get_rows():
     assert (touched % 2 == 1).all() and len(set(touched.tolist())) == len(touched)
     values = np.concatenate([rows.arrays.values[a : a + n] for a, n in rows.spans])
     assert np.abs(values[:, COLORS_AT]).min() > 0 and not values[:, COLORS_AT + 1 :].any()
-
-
-def test_gradients_are_the_same_on_any_number_of_threads():
-    parameters, (views, Ks) = random_gaussians(2000, 5, 2, 3), turned_camera(70, 50)
-    settings, found = settings_for((views[0], Ks[0]), 70, 50, 3, 2, True), []
-    pull = torch.randn(50, 70, 3, generator=torch.Generator().manual_seed(0)).numpy()
-    try:
-        for threads in (1, 2, 5):
-            pool.set_threads(threads)
-            source = source_of(parameters)
-            done = forward(source, settings)
-            rows = blend_backward(source, settings, done, pull, np.ones_like(done.images.depth), None).rows()
-            parts = [[array[a : a + n] for array in rows.arrays] for a, n in rows.spans]
-            found.append([np.concatenate(column).tobytes() for column in zip(*parts, strict=True)])
-    finally:
-        pool.set_threads(None)
-    assert found[0] == found[1] == found[2]

@@ -17,11 +17,8 @@ def test_every_tile_is_sorted_stably(counts, threads, far):
     depths[::97] = far
     splat_ids, slots = (rng.permutation(total).astype(np.int32) for _ in range(2))
     out = TileLists(starts, np.full(total, -1, np.int32), np.full(total, -1, np.int32))
-    try:
-        pool.set_threads(threads)
-        sort_tiles(Lists(depths.view(np.uint32), splat_ids, slots), max(counts), out)
-    finally:
-        pool.set_threads(None)
+    pool.set_threads(threads)
+    sort_tiles(Lists(depths.view(np.uint32), splat_ids, slots), max(counts), out)
     tile = np.repeat(np.arange(len(counts)), counts)
     order = np.lexsort((np.arange(total), depths, tile))
     assert np.array_equal(out.splat_ids, splat_ids[order]) and np.array_equal(out.slots, slots[order])

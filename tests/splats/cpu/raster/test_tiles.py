@@ -39,11 +39,8 @@ def test_gaussians_of_equal_depth_keep_their_order(threads):
     """Three depths only, and lists too long for a sort by insertion."""
     parameters, (view, K) = random_gaussians(4000, 7, None, 1), turned_camera(40, 40)
     parameters[0][:, 2] = torch.tensor([2.0, 3.0, 1.5])[torch.arange(4000) % 3]
-    try:
-        pool.set_threads(threads)
-        found = rendered(parameters, (torch.eye(4).expand_as(view), K), 40, 40)
-    finally:
-        pool.set_threads(None)
+    pool.set_threads(threads)
+    found = rendered(parameters, (torch.eye(4).expand_as(view), K), 40, 40)
     longest = 0
     for first, last in zip(found.tiles.starts, found.tiles.starts[1:], strict=False):
         ids = found.splats.gaussian_ids[found.tiles.splat_ids[first:last]]

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.blending import AS_3DGS
 from tdgbench.splats.cpu.raster.types import pack_camera, pack_limits
 from tests.helpers.gaussians import turned_camera
 
@@ -31,8 +31,3 @@ def test_limits_of_3dgs():
     assert np.allclose(limits[:4], [0.99, 1 / 255, -math.log2(255), 1e-4])
     assert limits.cutoff == pytest.approx(math.sqrt(2 * math.log(255))) and limits.end_early
     assert all(isinstance(number, np.float32) for number in limits[:5])
-
-
-def test_without_a_threshold_there_is_no_cutoff():
-    with pytest.raises(ValueError, match="min_alpha above 0"):
-        pack_limits(Blending(min_alpha=0))
