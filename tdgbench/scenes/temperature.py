@@ -59,18 +59,20 @@ def read_radiometry(path: Path, keys: tuple[str, str] = KEYS) -> Radiometry | No
     lowest, highest = keys
     try:
         content = read_json(path)
+        if not isinstance(content, dict) or not {*keys} <= content.keys():
+            raise ValueError("it does not have both")
         span = check_range(content[lowest], content[highest])
         per_count = content.get("degC_per_count")
         if per_count is not None and finite_number(per_count) == 0:
             raise ValueError("degC_per_count is 0")
         per_count = None if per_count is None else finite_number(per_count)
         return Radiometry(span, CountScale(per_count, finite_number(content.get("degC_at_zero", 0.0))))
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise SceneError(f"{path} must hold finite numbers `{lowest}` < `{highest}` in °C: {error!r}") from error
+    except (ValueError, RecursionError) as error:
+        raise SceneError(f"{path} must hold finite numbers `{lowest}` < `{highest}` in °C: {error}") from error
 
 
 def check_range(low: Any, high: Any) -> TemperatureRange:
-    """Return the range of two finite numbers in °C, `low` below `high`. Raises ValueError or TypeError."""
+    """Return the range of two finite numbers in °C, `low` below `high`. Raises ValueError."""
     low, high = finite_number(low), finite_number(high)
     if not TEMPERATURES[0] <= low < high <= TEMPERATURES[1]:
         raise ValueError(f"min {low} and max {high} are no range in {TEMPERATURES[0]} to {TEMPERATURES[1]:g}")
@@ -78,10 +80,13 @@ def check_range(low: Any, high: Any) -> TemperatureRange:
 
 
 def finite_number(value: object) -> float:
-    """Return a finite number. Raises ValueError or TypeError."""
-    number = float(value)  # type: ignore[arg-type]
+    """Return a finite number, also of its text. Raises ValueError."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (ValueError, TypeError, OverflowError):
+        number = math.nan
     if not math.isfinite(number) or isinstance(value, bool):
-        raise ValueError(f"{value} is no finite number")
+        raise ValueError(f"{value!r} is no finite number")
     return number
 
 

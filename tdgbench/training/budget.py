@@ -24,6 +24,19 @@ class GrowthRule:
 
 
 @dataclass(frozen=True)
+class HarmonicsRule:
+    """Raise the SH degree sooner where images have little noise, which harmonics learn as well, and views look alike.
+
+    Around an orbit, harmonics hide from the training views what stands before a camera between them. The measures are
+    those of `tdgbench.training.harmonics`.
+    """
+
+    every: PositiveInt  # iterations after which the degree rises by one, in the place of the budget's `sh_every`
+    most_noise: NonNegativeFloat  # standard deviation, of an image's values in [0, 1]
+    most_angle: Annotated[float, Field(ge=0, le=180)]  # degrees, between directions from which a point is seen
+
+
+@dataclass(frozen=True)
 class PixelRule:
     """Train at low resolutions first, each for the share of the schedule that its frequencies have of the spectrum.
 
@@ -93,6 +106,7 @@ class Budget:
     density: DensityRules
     background: Literal["black", "mean"] = "black"  # behind the Gaussians; mean: of the training images
     lift_dark_every: PositiveInt | None = None  # iterations of SH degree 0 between calls of `Adam.lift_dark`
+    harmonics: HarmonicsRule | None = None  # where the SH degree rises sooner; None: nowhere
     growth: GrowthRule | None = None  # what grows; None: by the gradients' threshold of `density`
     pixels: PixelRule | None = None  # resolution of the images; None: full from the start
     settling: SettlingRule | None = None  # when to stop, by held-out views; None: by `plateau`

@@ -18,6 +18,7 @@ from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
 from tdgbench.training.curriculum import Curriculum, schedule
 from tdgbench.training.growth import GrowthTest
+from tdgbench.training.harmonics import are_learned_soon
 from tdgbench.training.images import MODALITIES, THERMAL
 from tdgbench.training.model import ModelOptions, SplatModel
 from tdgbench.training.part import Network, Part, RandomStream, Rate, State
@@ -171,8 +172,10 @@ class Context:
         rate it shares. position_unit: of the means' learning rate, world units; by default the scene's extent.
         budget: SH degree, rates and density control, as long as the stage's; by default that.
         """
-        budget = budget or self.budget
-        images = MODALITIES[modality]
+        budget, images = budget or self.budget, MODALITIES[modality]
+        rule = budget.harmonics
+        if rule is not None and are_learned_soon(rule, self.scene.train, images, self.points.points):
+            budget = replace(budget, sh_every=rule.every)
         stream = RandomStream(self._seed())
         if start is None:
             channels = images.channels(self.scene)
