@@ -32,6 +32,7 @@ class HarmonicsRule:
     """
 
     every: PositiveInt  # iterations after which the degree rises by one, in the place of the budget's `sh_every`
+    gain: PositiveFloat  # dB, as in `SettlingRule`, if that is larger: a degree brings its gain some checks later
     most_noise: NonNegativeFloat  # standard deviation, of an image's values in [0, 1]
     most_angle: Annotated[float, Field(ge=0, le=180)]  # degrees, between directions from which a point is seen
 

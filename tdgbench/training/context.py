@@ -99,6 +99,7 @@ class Context:
     parts: dict[str, Part] = field(default_factory=dict, init=False)
     curricula: dict[str, Curriculum] = field(default_factory=dict, init=False)  # by modality
     _modality_of: dict[str, str] = field(default_factory=dict, init=False, repr=False)  # of Gaussians, by name
+    _is_clean: dict[str, bool] = field(default_factory=dict, init=False, repr=False)  # of images, by modality
     _streams: int = field(default=0, init=False, repr=False)
 
     def curriculum(self, modality: str) -> Curriculum:
@@ -119,6 +120,21 @@ class Context:
             name = f"{modality}_curriculum" if is_other else "curriculum"
             self.curricula[modality] = self.add_part(name, Curriculum(steps, held_out))
         return self.curricula[modality]
+
+    def adapted(self, budget: Budget, modality: str) -> Budget:
+        """Return a budget as its rule for harmonics changes it for the images of a modality."""
+        rule = budget.harmonics
+        if rule is None:
+            return budget
+        if modality not in self._is_clean:
+            views, points = self.scene.train, self.points.points
+            self._is_clean[modality] = are_learned_soon(rule, views, MODALITIES[modality], points)
+        if not self._is_clean[modality]:
+            return budget
+        settling = budget.settling
+        if settling is not None:
+            settling = replace(settling, gain=min(settling.gain, rule.gain))
+        return replace(budget, sh_every=rule.every, settling=settling)
 
     def parts_of(self, modality: str) -> dict[str, Part]:
         """Return the parts whose training a modality's curriculum ends: its Gaussians; the stage's, all other parts."""
@@ -172,10 +188,7 @@ class Context:
         rate it shares. position_unit: of the means' learning rate, world units; by default the scene's extent.
         budget: SH degree, rates and density control, as long as the stage's; by default that.
         """
-        budget, images = budget or self.budget, MODALITIES[modality]
-        rule = budget.harmonics
-        if rule is not None and are_learned_soon(rule, self.scene.train, images, self.points.points):
-            budget = replace(budget, sh_every=rule.every)
+        budget, images = self.adapted(budget or self.budget, modality), MODALITIES[modality]
         stream = RandomStream(self._seed())
         if start is None:
             channels = images.channels(self.scene)

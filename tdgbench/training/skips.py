@@ -182,7 +182,7 @@ def _settling(skip: Skip, training: Finished) -> None:
     elif not is_early:
         reason = f"{held_out} held-out views went on getting better"
     else:
-        reason = f"{held_out} held-out views gained less than {rule.gain:g} dB from window to window"
+        reason = f"{held_out} held-out views no longer gained from window to window"
     remaining = iterations - training.iterations
     skip.decide(is_early and remaining > 0, reason, f"{remaining} of {iterations} iterations")
 

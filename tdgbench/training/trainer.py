@@ -44,13 +44,11 @@ class Trainer:
         budget, context = self.context.budget, self.context
         self.stopping: Stopping | None = None  # the rule of the budget that may end the stage early
         if budget.settling is not None:
-            rules = {
-                name: Settling(
-                    budget.settling, budget.iterations, curriculum, context.parts_of(name),
-                    partial(self.render_errors, modality=name),
-                )
-                for name, curriculum in context.curricula.items()
-            }  # fmt: skip
+            rules = {}
+            for name, curriculum in context.curricula.items():
+                rule = context.adapted(budget, name).settling or budget.settling
+                errors = partial(self.render_errors, modality=name)
+                rules[name] = Settling(rule, budget.iterations, curriculum, context.parts_of(name), errors)
             self.stopping = AllSettled(rules) if len(rules) > 1 else rules[self.stage.modality]
         elif budget.plateau is not None:
             self.stopping = Plateau(budget.plateau, len(context.scene.train))

@@ -39,9 +39,9 @@ def test_the_angle_is_the_spread_of_the_directions():
 
 def test_noise_and_angle_decide(small_gray_scene):
     views, points = small_gray_scene.train, small_gray_scene.points.points
-    assert are_learned_soon(HarmonicsRule(500, 1.0, 180.0), views, THERMAL, points)
-    assert not are_learned_soon(HarmonicsRule(500, 1e-4, 180.0), views, THERMAL, points)
-    assert not are_learned_soon(HarmonicsRule(500, 1.0, 1.0), views, THERMAL, points)
+    assert are_learned_soon(HarmonicsRule(500, 0.1, 1.0, 180.0), views, THERMAL, points)
+    assert not are_learned_soon(HarmonicsRule(500, 0.1, 1e-4, 180.0), views, THERMAL, points)
+    assert not are_learned_soon(HarmonicsRule(500, 0.1, 1.0, 1.0), views, THERMAL, points)
 
 
 def noisy(view, sigma):
@@ -59,6 +59,7 @@ def test_lean_raises_the_degree_sooner_for_a_drone_s_clean_images(data_root):
         model = trainer.gaussians["thermal"]
         every[sigma] = model.budget.sh_every
         assert model.report()["sh_every"] == every[sigma]
+        assert trainer.stopping.rule.gain == (0.1 if sigma == 0 else 0.15)
         model.begin(500)
         assert model.degree == (sigma == 0)
     assert every == {0.0: 500, 0.02: 1000}
