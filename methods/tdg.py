@@ -72,6 +72,8 @@ class TDg(Method):
             depth = self._depth_loss(view, render)
             terms["depth"] = depth
             loss = loss + weight * depth
+        else:
+            self.targets.clear()
         return Step(loss, terms, render, target, valid)
 
     def _decay(self, iteration: int) -> float:
@@ -137,6 +139,10 @@ class DepthTargets:
 
     def __len__(self) -> int:
         return len(self._priors)
+
+    def clear(self) -> None:
+        """Free the memory of the targets: three numbers a pixel, when there are most Gaussians."""
+        self._targets.clear()
 
     def of(self, view: View) -> DepthTarget:
         """Return the target of a view, in the size of its image."""

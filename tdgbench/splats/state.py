@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.columns import ALIGNMENT, COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
+from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
 from tdgbench.splats.cpu.scratch import empty_aligned, free_buffers
 from tdgbench.splats.gaussians import Gaussians
 
@@ -21,6 +21,7 @@ GROWTH_ON_GPU = 1.5  # where it does
 REORDER_AT = 1.25  # times as many Gaussians as when they were last ordered in space
 AXIS_BITS = 21
 CHUNK_ROWS = 100_000  # converted to double precision at once
+COLUMNS_AT_ONCE = 4  # that are reordered
 ROWS = ("_values", "_first", "_second", "_bounds", "_clocks")  # arrays with one row per Gaussian
 
 
@@ -167,7 +168,7 @@ class TrainingState:
         """
         order = _z_order(self.values[:, MEANS])
         for array in (self._values, self._bounds, self._first, self._second):
-            for some in array.split(ALIGNMENT, dim=1):  # a copy of all columns at once would double the memory
+            for some in array.split(COLUMNS_AT_ONCE, dim=1):  # a copy of all would double the memory
                 some[: self.count] = some.index_select(0, order)
         self._ordered_at = self.count
 

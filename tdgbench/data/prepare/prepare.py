@@ -57,10 +57,15 @@ def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
     Raises SceneError naming what is wrong and the remedy; then `out` does not exist.
     """
     stages = Stages(out.with_name(f".{out.name}.work"))
-    with new_folder(out) as part:
-        report = _prepare(folder, part, stages, options, Report(str(folder), str(out)))
-        (part / "report.txt").write_text(report.text(), encoding="utf-8")
-        (part / "report.json").write_text(report.json(), encoding="utf-8")
+    try:
+        with new_folder(out) as part:
+            report = _prepare(folder, part, stages, options, Report(str(folder), str(out)))
+            (part / "report.txt").write_text(report.text(), encoding="utf-8")
+            (part / "report.json").write_text(report.json(), encoding="utf-8")
+    except KeyboardInterrupt as error:
+        if stages.folder.exists():
+            error.add_note("the same command goes on after the last finished stage")
+        raise
     shutil.rmtree(stages.folder, ignore_errors=True)
     return report
 

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from tdgbench.data.prepare import prepare
 from tdgbench.data.prepare.stages import Stages
 from tests.helpers.command import tdgbench_here
 from tests.helpers.paths import ROOT
@@ -34,6 +35,17 @@ def test_a_changed_input_starts_again_from_its_stage(tmp_path):
     with pytest.raises(ZeroDivisionError):
         Stages(tmp_path / "work").make("first", 3, lambda place: 1 / 0)
     assert [path.name.split("-")[0] for path in (tmp_path / "work").iterdir()] == ["second"]
+
+
+def test_an_interrupted_run_says_that_it_can_go_on(tmp_path, monkeypatch):
+    def interrupted(folder, part, stages, *_):
+        stages.make("first", 1, lambda place: None)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(prepare, "_prepare", interrupted)
+    with pytest.raises(KeyboardInterrupt) as error:
+        prepare.prepare_scene(tmp_path, tmp_path / "out", prepare.PrepareOptions())
+    assert error.value.__notes__ == ["the same command goes on after the last finished stage"]
 
 
 @pytest.mark.slow
