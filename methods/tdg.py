@@ -135,22 +135,22 @@ class DepthTargets:
 
     def __init__(self, priors: dict[str, DepthPrior], device: torch.device) -> None:
         self._priors, self._device = priors, device
-        self._targets: dict[str, DepthTarget] = {}
+        self.made: dict[str, DepthTarget] = {}  # at the resolution of the last use
 
     def __len__(self) -> int:
         return len(self._priors)
 
     def clear(self) -> None:
-        """Free the memory of the targets: three numbers a pixel, when there are most Gaussians."""
-        self._targets.clear()
+        """Free the memory of the normalised maps, and of what the losses keep of them."""
+        self.made.clear()
 
     def of(self, view: View) -> DepthTarget:
         """Return the target of a view, in the size of its image."""
         size = (view.camera.height, view.camera.width)
-        if view.name not in self._targets or self._targets[view.name].normalised.shape != size:
+        if view.name not in self.made or self.made[view.name].normalised.shape != size:
             prior = self._priors[view.name].resized(view.camera.width, view.camera.height)
-            self._targets[view.name] = DepthTarget.of(prior, self._device)
-        return self._targets[view.name]
+            self.made[view.name] = DepthTarget.of(prior, self._device)
+        return self.made[view.name]
 
 
 def comparable_depth(render: Render, kind: str) -> Tensor:

@@ -123,7 +123,7 @@ def _method_of(record: Record) -> Method:
 def _budget_of(record: Record) -> Budget:
     """Return the budget without the rules that look at images."""
     options = {**(record.setting("budget") or {}), "background": "black"}
-    options |= dict.fromkeys(("growth", "pixels", "settling", "plateau"))
+    options |= dict.fromkeys(("harmonics", "growth", "pixels", "settling", "plateau"))
     try:
         return TypeAdapter(Budget).validate_python(_without_targets(options))
     except ValidationError as error:

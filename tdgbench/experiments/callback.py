@@ -32,7 +32,7 @@ class ExperimentCallback(Callback):
             experiment = experiment_of(names_to_text(config))
             experiment.check(config)
             experiment.check_typed(config.hydra.overrides.task)
-            if experiment.one_job and number_of_jobs(config) != 1:
+            if experiment.one_job and number_of_jobs(config) != 1 and "name" not in swept(config):
                 what = "has several values, whose results would replace one another: run each with its own name="
                 raise OptionError([Problem(option, what) for option in swept(config)])
             check_results_folder(folder)

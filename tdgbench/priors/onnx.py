@@ -92,7 +92,7 @@ class OnnxPrior:
         digest = hashlib.sha256()
         with unavailable("onnx", "it has no network", NAME_A_FILE):
             for path in listed(regular_file(self._path).parent):
-                if path.name.removeprefix(self._path.name) in ("", ".data", "_data"):
+                if path == self._path or path.name.startswith((f"{self._path.name}.data", f"{self._path.name}_data")):
                     digest.update(path.name.removeprefix(self._path.name).encode() + hash_of(path))
         return digest.hexdigest()[:16]
 

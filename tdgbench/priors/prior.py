@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -77,7 +78,7 @@ class DepthPrior:
         return self
 
     def resized(self, width: int, height: int) -> DepthPrior:
-        """Return the map with fewer pixels: means of the known values in a pixel's area, unknown where it has none.
+        """Return the map at another size: means of the known values in a pixel's area, unknown where it has none.
 
         >>> values = np.array([[1.0, 3.0, np.nan, np.nan, np.nan, 4.0]], np.float32)
         >>> DepthPrior(values, "depth").resized(3, 1).values.tolist()
@@ -142,10 +143,19 @@ def model_identity(model: str) -> dict[str, object]:
     folder = Path(model)
     if not folder.is_dir():
         return {"model": model}
+    visible = (path for path in folder.rglob("[!.]*") if not any(name[0] == "." for name in path.parts[1:]))
     digest = hashlib.sha256()
-    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        digest.update(path.relative_to(folder).as_posix().encode() + hash_of(path))
+    for path in sorted(path for path in visible if path.is_file()):
+        state = path.stat()
+        digest.update(path.relative_to(folder).as_posix().encode())
+        digest.update(_hash_of_weights(path, state.st_size, state.st_mtime_ns))
     return {"model": model, "files": digest.hexdigest()[:16]}
+
+
+@cache
+def _hash_of_weights(path: Path, size: int, mtime: int) -> bytes:
+    """Return SHA-256 of a file of gigabytes, once for its size and time of change."""
+    return hash_of(path)
 
 
 def chosen_device(name: str) -> torch.device:

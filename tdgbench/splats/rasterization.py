@@ -48,7 +48,8 @@ def rasterization(
     Returns renders (C, H, W, D [+ 1]), alphas (C, H, W, 1), and meta with `means2d` (C tensors (N, 2) px, whose `.grad`
     the backward pass sets), `radii` (C, N) px (0: not visible), `depths` (C, N), `backend`, `width` and `height`.
     `absgrad`: with that option C tensors (N, 2), Σ over pixels of |d loss / d means2d|, which the backward pass sets.
-    A NaN in any Gaussian makes every image NaN. Raises ValueError for shapes or options that do not fit.
+    A NaN in means or scales, or in any visible Gaussian, makes every image NaN. Raises ValueError for shapes or options
+    that do not fit.
 
     >>> means, quats = torch.tensor([[0.0, 0.0, 2.0]]), torch.tensor([[1.0, 0.0, 0.0, 0.0]])
     >>> scales, opacities, colors = torch.full((1, 3), 0.1), torch.tensor([0.5]), torch.ones(1, 3)

@@ -25,14 +25,14 @@ class GrowthRule:
 
 @dataclass(frozen=True)
 class HarmonicsRule:
-    """Raise the SH degree sooner where images have little noise, which harmonics learn as well, and views look alike.
+    """Raise the SH degree sooner where images have little noise and cameras see each point from nearly one direction.
 
-    Around an orbit, harmonics hide from the training views what stands before a camera between them. The measures are
-    those of `tdgbench.training.harmonics`.
+    Harmonics learn noise as well. Around an orbit, they hide from the training views a Gaussian that stands near a
+    camera between these. The measures are those of `tdgbench.training.harmonics`.
     """
 
-    every: PositiveInt  # iterations after which the degree rises by one, in the place of the budget's `sh_every`
-    gain: PositiveFloat  # dB, as in `SettlingRule`, if that is larger: a degree brings its gain some checks later
+    every: PositiveInt  # iterations after which the degree rises by one, if the budget's `sh_every` is larger
+    gain: PositiveFloat  # dB, if that of `SettlingRule` is larger: a degree raises the PSNR some checks later
     most_noise: NonNegativeFloat  # standard deviation, of an image's values in [0, 1]
     most_angle: Annotated[float, Field(ge=0, le=180)]  # degrees, between directions from which a point is seen
 

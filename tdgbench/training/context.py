@@ -99,7 +99,7 @@ class Context:
     parts: dict[str, Part] = field(default_factory=dict, init=False)
     curricula: dict[str, Curriculum] = field(default_factory=dict, init=False)  # by modality
     _modality_of: dict[str, str] = field(default_factory=dict, init=False, repr=False)  # of Gaussians, by name
-    _is_clean: dict[str, bool] = field(default_factory=dict, init=False, repr=False)  # of images, by modality
+    _learned_soon: dict[str, bool] = field(default_factory=dict, init=False, repr=False)  # harmonics, by modality
     _streams: int = field(default=0, init=False, repr=False)
 
     def curriculum(self, modality: str) -> Curriculum:
@@ -122,19 +122,22 @@ class Context:
         return self.curricula[modality]
 
     def adapted(self, budget: Budget, modality: str) -> Budget:
-        """Return a budget as its rule for harmonics changes it for the images of a modality."""
-        rule = budget.harmonics
-        if rule is None:
+        """Return a budget as its rule for harmonics changes it for the images of a modality.
+
+        The rule needs measured points: the scene's sparse ones, whatever the initial ones are.
+        """
+        rule, cloud = budget.harmonics, self.scene.points
+        if rule is None or cloud is None or budget.sh_degree == 0:
             return budget
-        if modality not in self._is_clean:
-            views, points = self.scene.train, self.points.points
-            self._is_clean[modality] = are_learned_soon(rule, views, MODALITIES[modality], points)
-        if not self._is_clean[modality]:
+        if modality not in self._learned_soon:
+            images = MODALITIES[modality]
+            self._learned_soon[modality] = are_learned_soon(rule, self.scene.train, images, cloud.points)
+        if not self._learned_soon[modality]:
             return budget
         settling = budget.settling
         if settling is not None:
             settling = replace(settling, gain=min(settling.gain, rule.gain))
-        return replace(budget, sh_every=rule.every, settling=settling)
+        return replace(budget, sh_every=min(budget.sh_every, rule.every), settling=settling)
 
     def parts_of(self, modality: str) -> dict[str, Part]:
         """Return the parts whose training a modality's curriculum ends: its Gaussians; the stage's, all other parts."""

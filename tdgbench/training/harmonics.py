@@ -17,7 +17,7 @@ MOST_POINTS = 2000
 
 
 def are_learned_soon(rule: HarmonicsRule, views: list[View], modality: Modality, points: np.ndarray) -> bool:
-    """Return whether a rule applies to training views with their initial points (N, 3)."""
+    """Return whether a rule applies to training views of sparse points (N, 3)."""
     some = spread(views, min(MOST_VIEWS, len(views)))
     noise = typical_noise((modality.array(view), modality.valid(view)) for view in some)
     return noise <= rule.most_noise and viewing_angle(points, [view.camera for view in views]) <= rule.most_angle

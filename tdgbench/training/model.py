@@ -151,10 +151,10 @@ class SplatModel(Part):
     def report(self) -> Report:
         behind = {} if self.background is None else {"background": self.background.tolist()}
         size = {"gaussians": len(self), "parameters": self.state.values.numel()}
-        sooner = {} if self.budget.harmonics is None else {"sh_every": self.budget.sh_every}
+        degrees = {} if self.budget.harmonics is None else {"sh_every": self.budget.sh_every}
         counts = {**size, "cloned": self.work.cloned, "split": self.work.split}
         moved = {"relocated": self.work.relocated} if self.work.relocated else {}
-        return {**counts, "pruned": self.work.pruned, **moved, **behind, **sooner}
+        return {**counts, "pruned": self.work.pruned, **moved, **behind, **degrees}
 
     def not_finite(self) -> str | None:
         if torch.isfinite(self.state.values.sum()):  # one pass in the usual case

@@ -107,3 +107,9 @@ def test_the_released_depth_loss_moves_nothing(request, scene_of):
     assert digest(written) != digest(plain)
     assert all("depth" in line.terms and 0 < line.terms["depth"] < 3 for line in logged.lines)
     assert not any("depth" in line.terms for line in log.lines)
+
+
+def test_depth_targets_are_freed_once_they_weigh_nothing(small_gray_scene):
+    kept = {end: len(trained(small_gray_scene, "tdg", 12, **{"method.method.decay_end": end})[0].method.targets.made)
+            for end in (0.5, 2.0)}  # fmt: skip
+    assert kept[0.5] == 0 < kept[2.0]

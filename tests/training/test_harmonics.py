@@ -63,3 +63,11 @@ def test_lean_raises_the_degree_sooner_for_a_drone_s_clean_images(data_root):
         model.begin(500)
         assert model.degree == (sigma == 0)
     assert every == {0.0: 500, 0.02: 1000}
+    for more, expected in (
+        (["budget.sh_every=200"], (200, 0.1)), (["budget.sh_degree=0"], (1000, 0.15)),
+        (["init=random"], (500, 0.1)), (["budget.harmonics=null"], (1000, 0.15)),
+    ):  # fmt: skip
+        trainer = ready_to_train(scene, "3dgs", 20, "budget=lean", *more)
+        assert (trainer.gaussians["thermal"].budget.sh_every, trainer.stopping.rule.gain) == expected
+    trainer = ready_to_train(replace(scene, points=None), "3dgs", 20, "budget=lean", "init=random")
+    assert trainer.gaussians["thermal"].budget.sh_every == 1000

@@ -23,7 +23,14 @@ from tests.helpers.paths import ROOT
 from tests.helpers.waiting import waited
 
 
-@pytest.mark.parametrize(("method", "more"), [("msmg", ["budget.background=mean"]), ("thermal3dgs", [])])
+@pytest.mark.parametrize(
+    ("method", "more"),
+    [
+        ("msmg", ["budget.background=mean"]),
+        ("thermal3dgs", []),
+        ("3dgs", ["budget=lean", "budget.iterations=12", "budget.settling=null"]),
+    ],
+)
 def test_the_state_is_that_of_the_training(method, more, tmp_path, data_root, monkeypatch):
     """Of Gaussians in two modalities over a background, and of a method with networks."""
     experiment, write_if_due, found = tmp_path / "single", Checkpoint.write_if_due, []

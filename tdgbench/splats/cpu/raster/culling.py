@@ -82,7 +82,7 @@ def cull(start, stop, bounds, camera, cutoff, candidates):
         stretch = size * divide(ONE, near)
         radius = MARGIN * cutoff * square_root(stretch * stretch * jacobian + blur) + GRID
         visible = lane_bits(less_equal(hidden(x, y, z, radius, bounds.tolerance, camera), broadcast(ZERO)))
-        visible |= lane_bits(is_nan(z + radius))  # it could be anywhere
+        visible |= lane_bits(is_nan(mean[0] + mean[1] + mean[2] + size))  # it could be anywhere
         visible &= (U(1) << U(min(LANES, stop - base))) - U(1)
         while visible != NONE:
             candidates[U(found)] = base + np.int64(lowest(visible))
