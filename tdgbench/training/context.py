@@ -126,12 +126,12 @@ class Context:
 
         The rule needs measured points: the scene's sparse ones, whatever the initial ones are.
         """
-        rule, cloud = budget.harmonics, self.scene.points
-        if rule is None or cloud is None or budget.sh_degree == 0:
+        rule = budget.harmonics
+        if rule is None or budget.sh_degree == 0 or self.scene.points is None:
             return budget
         if modality not in self._learned_soon:
-            images = MODALITIES[modality]
-            self._learned_soon[modality] = are_learned_soon(rule, self.scene.train, images, cloud.points)
+            views, points = self.scene.train, self.scene.points.points
+            self._learned_soon[modality] = are_learned_soon(rule, views, MODALITIES[modality], points)
         if not self._learned_soon[modality]:
             return budget
         settling = budget.settling

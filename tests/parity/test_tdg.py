@@ -8,7 +8,7 @@ import torch
 from hydra.utils import instantiate
 from PIL import Image
 
-from methods.tdg import DepthTarget, released_depth
+from methods.tdg import DepthTarget, DepthTargets, released_depth
 from tdgbench.priors import DepthPrior, PriorError
 from tdgbench.priors.files import FilePrior
 from tdgbench.scenes import Camera, Scene, View
@@ -75,7 +75,7 @@ def test_whole_loss_of_tdg():
     theirs = original("totals")
     method = instantiate(config("method=tdg_released").method.method)
     method.model, method.views, method.skips_depth = Still("thermal", 10), standing_view(), True
-    method.last_depth_iteration = 1
+    method.last_depth_iteration, method.targets = 1, DepthTargets({}, torch.device("cpu"))
     step = method.step(1)
     step.loss.backward()
     assert step.loss.item() == pytest.approx(float(theirs["tdg"]), rel=LIMIT)
