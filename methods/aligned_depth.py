@@ -58,7 +58,7 @@ def sparse_depths(points: np.ndarray, camera: Camera) -> np.ndarray:
     errors; a scene's points have neither views nor errors here.
     """
     pixels, z = camera.project(points)
-    inside = (z > 0) & (pixels >= 0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
+    inside = camera.holds(pixels, z)
     columns, rows = pixels[inside].astype(int).T
     depths = np.zeros((camera.height, camera.width))
     depths[rows, columns] = z[inside]

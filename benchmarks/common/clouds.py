@@ -29,9 +29,9 @@ def random_cloud(count: int, width: int, height: int, seed: int = 0) -> Cloud:
     )
 
 
-def leaves_of(cloud: Cloud, dtype: torch.dtype) -> list[Tensor]:
+def leaves_of(cloud: Cloud) -> list[Tensor]:
     """Copies of a cloud's tensors in the order of NAMES, with gradients enabled."""
-    return [getattr(cloud, name).to(dtype).clone().requires_grad_() for name in NAMES]
+    return [getattr(cloud, name).clone().requires_grad_() for name in NAMES]
 
 
 def view_of(cloud: Cloud, leaves: list[Tensor], depth: bool = True) -> Render:

@@ -31,7 +31,7 @@ class DepthAnythingPrior:
         _ = self._network
 
     def identity(self, scene: Scene) -> dict[str, object]:
-        return {"estimator": "depth_anything", **model_identity(self.model)}
+        return {"estimator": "depth_anything", **self._model}
 
     @torch.no_grad()
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
@@ -41,6 +41,10 @@ class DepthAnythingPrior:
         inputs = processor(images=np.ascontiguousarray(image), return_tensors="pt").to(network.device)
         (estimate,) = processor.post_process_depth_estimation(network(**inputs), target_sizes=[(height, width)])
         return DepthPrior(estimate["predicted_depth"].float().cpu().numpy(), "disparity")
+
+    @cached_property
+    def _model(self) -> dict[str, object]:
+        return model_identity(self.model)
 
     @cached_property
     def _network(self) -> tuple[Any, Any]:

@@ -36,7 +36,7 @@ class MarigoldPrior:
     def identity(self, scene: Scene) -> dict[str, object]:
         options = {name: getattr(self, name) for name in ("steps", "ensemble", "resolution", "seed")}
         variant = {"variant": self._variant} if self._variant else {}
-        return {"estimator": "marigold", **model_identity(self.model), **options, **variant}
+        return {"estimator": "marigold", **self._model, **options, **variant}
 
     def prepare(self) -> None:
         kind = _pipeline_class()
@@ -45,6 +45,10 @@ class MarigoldPrior:
                 kind.download(self.model, variant=self._variant)
             elif not (Path(self.model) / "model_index.json").is_file():
                 raise FileNotFoundError("the folder has no model_index.json")
+
+    @cached_property
+    def _model(self) -> dict[str, object]:
+        return model_identity(self.model)
 
     @cached_property
     def _pipeline(self):

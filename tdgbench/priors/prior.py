@@ -9,7 +9,6 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -19,7 +18,7 @@ import torch
 from tdgbench.files import whole_file
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import resize
-from tdgbench.scenes.inputs import hash_of, is_there, regular_file
+from tdgbench.scenes.inputs import hash_of, is_hidden, is_there, regular_file
 from tdgbench.text import one_line, shortened
 
 Kind = Literal["depth", "disparity", "metric"]
@@ -139,23 +138,18 @@ def loading(prior: str, model: str) -> AbstractContextManager[None]:
 
 
 def model_identity(model: str) -> dict[str, object]:
-    """Return a model's name on the hub; of a folder, which may change, the hash of its files as well."""
+    """Return a model's name on the hub; of a folder, which may change, the hash of its files that are not hidden, too.
+
+    It reads gigabytes: keep it.
+    """
     folder = Path(model)
     if not folder.is_dir():
         return {"model": model}
-    visible = (path for path in folder.rglob("[!.]*") if not any(name[0] == "." for name in path.parts[1:]))
     digest = hashlib.sha256()
-    for path in sorted(path for path in visible if path.is_file()):
-        state = path.stat()
-        digest.update(path.relative_to(folder).as_posix().encode())
-        digest.update(_hash_of_weights(path, state.st_size, state.st_mtime_ns))
+    for name in sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file()):
+        if not any(is_hidden(part) for part in name.parts):
+            digest.update(name.as_posix().encode() + hash_of(folder / name))
     return {"model": model, "files": digest.hexdigest()[:16]}
-
-
-@cache
-def _hash_of_weights(path: Path, size: int, mtime: int) -> bytes:
-    """Return SHA-256 of a file of gigabytes, once for its size and time of change."""
-    return hash_of(path)
 
 
 def chosen_device(name: str) -> torch.device:

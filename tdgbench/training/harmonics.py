@@ -32,8 +32,7 @@ def viewing_angle(points: np.ndarray, cameras: Sequence[Camera]) -> float:
     points = points[:: max(1, -(-len(points) // MOST_POINTS))]
     total, count = np.zeros_like(points, dtype=np.float64), np.zeros(len(points))
     for camera in cameras:
-        pixels, z = camera.project(points)
-        seen = (z > 0) & (pixels >= 0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
+        seen = camera.shows(points)
         directions = points[seen] - camera.center
         total[seen] += directions / np.linalg.norm(directions, axis=1, keepdims=True)
         count += seen

@@ -46,7 +46,8 @@ class Trainer:
         if budget.settling is not None:
             rules = {}
             for name, curriculum in context.curricula.items():
-                rule = context.adapted(budget, name).settling or budget.settling
+                rule = context.adapted(budget, name).settling
+                assert rule is not None  # as the stage's
                 errors = partial(self.render_errors, modality=name)
                 rules[name] = Settling(rule, budget.iterations, curriculum, context.parts_of(name), errors)
             self.stopping = AllSettled(rules) if len(rules) > 1 else rules[self.stage.modality]

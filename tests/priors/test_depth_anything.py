@@ -68,14 +68,6 @@ def test_the_identity_names_the_model(tiny_model):
     assert DepthAnythingPrior("depth-anything/small", "cpu").identity(None)["model"] == "depth-anything/small"
 
 
-def test_the_identity_changes_with_the_files_of_a_folder(tmp_path):
-    found = []
-    for weights in (b"a", b"b", b"a"):
-        (tmp_path / "weights").write_bytes(weights)
-        found.append(DepthAnythingPrior(str(tmp_path), "cpu").identity(None))
-    assert found[0] == found[2] != found[1]
-
-
 def test_a_folder_without_weights_is_named(tmp_path):
     with pytest.raises(PriorUnavailableError, match=f"prior=depth_anything is not available: no weights of {tmp_path}"):
         prepare(DepthAnythingPrior(str(tmp_path), "cpu"))

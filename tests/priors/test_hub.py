@@ -6,6 +6,8 @@ import pytest
 
 from tdgbench.bench.failures import of_environment
 from tdgbench.priors import PriorUnavailableError, prepare
+from tdgbench.priors.depth_anything import DepthAnythingPrior
+from tdgbench.priors.marigold import MarigoldPrior
 from tdgbench.priors.prior import loading
 from tests.priors.estimators import make
 
@@ -43,3 +45,16 @@ def test_weights_that_cannot_be_had():
         raise OSError("no route")
     with pytest.raises(MemoryError), loading("marigold", "a/b"):
         raise MemoryError
+
+
+def test_a_folder_s_files_are_part_of_the_identity(tmp_path):
+    folder, found = tmp_path / ".cache" / "model", []  # the hub's own cache is in a hidden folder
+    (folder / ".locks").mkdir(parents=True)
+    for weights in (b"a", b"b", b"a"):
+        (folder / "weights").write_bytes(weights)
+        marigold = MarigoldPrior(str(folder), steps=None, ensemble=1, resolution=None, device="cpu", seed=0)
+        estimators = marigold, DepthAnythingPrior(str(folder), "cpu")
+        found.append([estimator.identity(None) for estimator in estimators])
+        (folder / ".locks" / "one").write_bytes(weights)
+    assert found[0] == found[2] and all(one["files"] != other["files"] for one, other in zip(*found[:2], strict=True))
+    assert DepthAnythingPrior("a/name", "cpu").identity(None) == {"estimator": "depth_anything", "model": "a/name"}
