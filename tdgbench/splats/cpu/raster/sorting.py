@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from tdgbench.splats.cpu import pool
@@ -17,26 +15,22 @@ DIGITS = 1 << DIGIT_BITS
 PASSES = 32 // DIGIT_BITS
 PAIRS_EACH = 32_768  # that are worth a thread
 SHORT = 24  # a list up to this length is sorted by insertion
-POSITION = U(32)  # bits of a pair's position in its list, below those of its depth
+UPPER = U(32)  # first bit of the upper half of a number
+LOWER = (U(1) << UPPER) - U(1)  # bits of its lower half
 
 
-class Lists(NamedTuple):
-    """Pairs, tile by tile."""
+def sort_tiles(pairs: np.ndarray, depth_keys: np.ndarray, longest: int, out: TileLists) -> None:
+    """Write the pairs of each tile, at most `longest`, from near to far to `out`, which has their starts; stably.
 
-    keys: np.ndarray  # (pairs,) uint32: bits of the camera-space z
-    splat_ids: np.ndarray  # (pairs,) int32
-    slots: np.ndarray  # (pairs,) int32
-
-
-def sort_tiles(lists: Lists, longest: int, out: TileLists) -> None:
-    """Write the pairs of each tile, at most `longest`, to `out`, which has their starts; sorted by key, stably."""
-    threads = pool.threads_for(len(lists.keys), PAIRS_EACH)
-    pool.run(sort_lists, [(np.zeros(1, np.int64), longest, lists, out)] * threads)
+    pairs (n,) uint64, tile by tile: slot and, in the lower half, splat. depth_keys (capacity,) uint32, of each splat.
+    """
+    threads = pool.threads_for(len(pairs), PAIRS_EACH)
+    pool.run(sort_lists, [(np.zeros(1, np.int64), longest, pairs, depth_keys, out)] * threads)
 
 
 @kernel()
-def sort_lists(counter, longest, lists, out):
-    """Sort the tiles that counter (1,) hands out, until none remains; longest: length of the longest list."""
+def sort_lists(counter, longest, pairs, depth_keys, out):
+    """Sort the tiles that counter (1,) hands out, until none remains; the other arguments are those of `sort_tiles`."""
     numbers, spare = np.empty(longest, np.uint64), np.empty(longest, np.uint64)
     histograms, starts = np.zeros((PASSES, DIGITS), np.int32), out.starts
     while True:
@@ -44,7 +38,7 @@ def sort_lists(counter, longest, lists, out):
         if tile >= starts.shape[0] - 1:
             break
         begin, count = starts[tile], starts[tile + 1] - starts[tile]
-        bits = pack(lists.keys, begin, count, numbers)
+        bits = number(pairs, depth_keys, begin, count, numbers)
         is_in_spare = False
         if count <= SHORT:
             insert(numbers, count)
@@ -58,21 +52,23 @@ def sort_lists(counter, longest, lists, out):
                     move_by_digit(numbers, count, digit, histograms, spare)
                 is_in_spare = not is_in_spare
         if is_in_spare:
-            write_sorted(spare, begin, count, lists, out)
+            write_sorted(spare, begin, count, pairs, out)
         else:
-            write_sorted(numbers, begin, count, lists, out)
+            write_sorted(numbers, begin, count, pairs, out)
 
 
 @kernel(inline=True)
-def pack(keys, begin, count, numbers):
-    """numbers[:count] = depth above the least and position of the keys from `begin` on; returns the bits of a depth."""
-    least, most = np.uint32(0xFFFFFFFF), np.uint32(0)
-    for i in range(U(begin), U(begin + count)):
-        least, most = min(least, keys[i]), max(most, keys[i])
+def number(pairs, depth_keys, begin, count, numbers):
+    """numbers[:count] = depth above the least and position of the pairs from `begin` on; returns the bits of a depth."""
+    least, most = LOWER, U(0)
     for i in range(U(count)):
-        numbers[i] = (U(keys[U(begin) + i] - least) << POSITION) | i
+        depth = U(depth_keys[pairs[U(begin) + i] & LOWER])
+        numbers[i] = (depth << UPPER) | i
+        least, most = min(least, depth), max(most, depth)
+    for i in range(U(count)):
+        numbers[i] -= least << UPPER
     bits = 0
-    while count > 0 and U(most - least) >> U(bits) != U(0):
+    while count > 0 and (most - least) >> U(bits) != U(0):
         bits += 1
     return bits
 
@@ -95,7 +91,7 @@ def count_digits(numbers, count, passes, histograms):
         for value in range(U(DIGITS)):
             histograms[U(digit), value] = 0
     for i in range(U(count)):
-        depth = numbers[i] >> POSITION
+        depth = numbers[i] >> UPPER
         for digit in range(U(passes)):
             histograms[digit, (depth >> (digit * U(DIGIT_BITS))) & U(DIGITS - 1)] += np.int32(1)
     for digit in range(U(passes)):
@@ -111,7 +107,7 @@ def move_by_digit(numbers, count, digit, histograms, out):
     """out[:count] = the numbers in the order of a digit, stably; of the histograms, as counted, that of the digit is
     used up.
     """
-    shift = POSITION + U(digit * DIGIT_BITS)
+    shift = UPPER + U(digit * DIGIT_BITS)
     for i in range(U(count)):
         number = numbers[i]
         value = (number >> shift) & U(DIGITS - 1)
@@ -121,9 +117,9 @@ def move_by_digit(numbers, count, digit, histograms, out):
 
 
 @kernel(inline=True)
-def write_sorted(numbers, begin, count, lists, out):
+def write_sorted(numbers, begin, count, pairs, out):
     """Write the pairs of a list in the order of its sorted numbers."""
     for i in range(U(count)):
-        position = U(begin) + (numbers[i] & ((U(1) << POSITION) - U(1)))
-        out.splat_ids[U(begin) + i] = lists.splat_ids[position]
-        out.slots[U(begin) + i] = lists.slots[position]
+        pair = pairs[U(begin) + (numbers[i] & LOWER)]
+        out.splat_ids[U(begin) + i] = np.int32(pair & LOWER)
+        out.slots[U(begin) + i] = np.int32(pair >> UPPER)

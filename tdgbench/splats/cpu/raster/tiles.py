@@ -14,7 +14,7 @@ from numba import int64
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.sorting import Lists, sort_tiles
+from tdgbench.splats.cpu.raster.sorting import UPPER, sort_tiles
 from tdgbench.splats.cpu.raster.types import TileLists
 from tdgbench.splats.cpu.scratch import Workspace
 
@@ -133,21 +133,18 @@ def start_lists(counts, starts):
 
 
 @kernel()
-def fill_lists(first, count, splats, pair_tiles, cursor, lists):
-    """List the splats [first, first + count) where the cursor (tiles,) of each tile points.
+def fill_lists(first, count, splats, pair_tiles, cursor, pairs):
+    """List the splats [first, first + count) where the cursor (tiles,) of each tile points, in `sort_tiles`' numbers.
 
-    splats: Splats; pair_tiles (capacity,) int32; lists: Lists, written.
+    splats: Splats; pair_tiles (capacity,) int32; pairs (n,) uint64, written.
     """
-    pairs, depth_keys = splats.pairs, splats.depth_keys
-    keys, splat_ids, slots = lists.keys, lists.splat_ids, lists.slots
+    spans = splats.pairs
     for i in range(U(first), U(first + count)):
-        for pair in range(pairs[i, U(0)], pairs[i, U(1)]):
-            tile = U(pair_tiles[U(pair)])
+        for slot in range(U(spans[i, U(0)]), U(spans[i, U(1)])):
+            tile = U(pair_tiles[slot])
             place = U(cursor[tile])
             cursor[tile] = int64(place) + 1
-            keys[place] = depth_keys[i]
-            splat_ids[place] = i
-            slots[place] = pair
+            pairs[place] = (slot << UPPER) | i
 
 
 def list_by_tile(found, workspace: Workspace, scratch: Workspace) -> TileLists:
@@ -155,13 +152,12 @@ def list_by_tile(found, workspace: Workspace, scratch: Workspace) -> TileLists:
     cursors, total = found.tile_counts, sum(n for _, n in found.pair_spans)
     starts = np.empty(cursors.shape[1] + 1, np.int64)
     longest = start_lists(cursors, starts)
-    keys, splat_ids, slots = scratch.take("slots", (3, total), np.int32)  # memory that the backward pass needs later
-    lists = Lists(keys.view(np.uint32), splat_ids, slots)
+    pairs = scratch.take("slots", total, np.uint64)  # memory that the backward pass needs later
     pool.run(
-        fill_lists, [(*span, found.splats, found.pair_tiles, c, lists) for span, c in zip(found.splat_spans, cursors)],
+        fill_lists, [(*span, found.splats, found.pair_tiles, c, pairs) for span, c in zip(found.splat_spans, cursors)],
         items=total, each=LISTED_EACH,
     )  # fmt: skip
     near_to_far = (workspace.take(role, total, np.int32) for role in ("splat ids", "slots of pairs"))
     out = TileLists(starts, *near_to_far)
-    sort_tiles(lists, longest, out)
+    sort_tiles(pairs, found.splats.depth_keys, longest, out)
     return out
