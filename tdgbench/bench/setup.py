@@ -101,7 +101,7 @@ def set_up(
         with observer.phase("compile"):
             channels = {MODALITIES[modality].channels(scene) for modality in method.modalities}
             masked = any(view.valid is not None for view in scene.train)
-            compile_kernels(channels, budget, backend, masked=masked)
+            compile_kernels(channels, budget, backend, depth=method.needs_prior, masked=masked)
     if thermal_camera.rig == "auto":
         with observer.phase("rig"):
             trial = try_rig(method, context)

@@ -18,18 +18,20 @@ from tdgbench.training.model import SplatModel
 SIZE = 16  # px
 
 
-def compile_kernels(channels: set[int], budget: Budget, backend: str, *, masked: bool = False) -> None:
+def compile_kernels(
+    channels: set[int], budget: Budget, backend: str, *, depth: bool = True, masked: bool = False
+) -> None:
     """Compile the kernels of trainings with these numbers of channels, by steps on a toy scene.
 
-    masked: some views have a mask, for which the losses are compiled apart.
+    depth: the loss takes rendered depth. masked: some views have a mask, for which the losses are compiled apart.
     """
     chosen = load_backend(choose_backend(backend, training_device(backend), torch.float32))
-    with chosen.compiling(channels):
-        _take_steps(channels, budget, backend, masked)
+    with chosen.compiling(channels, depth):
+        _take_steps(channels, budget, backend, depth, masked)
 
 
-def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) -> None:
-    """Take one step for each channel count, with and without depth."""
+def _take_steps(channels: set[int], budget: Budget, backend: str, depth: bool, masked: bool) -> None:
+    """Take two steps for each channel count, the second with two views and, if it is needed, with their depth."""
     pose = np.eye(4)
     pose[2, 3] = 2.0
     K = np.array([[SIZE, 0, SIZE / 2], [0, SIZE, SIZE / 2], [0, 0, 1.0]])
@@ -39,10 +41,10 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, masked: bool) 
         start = gaussians_from_points(points, np.full((8, 3), 0.5), count, budget.sh_degree)
         start = start.map(lambda tensor: tensor.to(training_device(backend)))
         model = SplatModel(start, budget, 1.0, backend, torch.Generator().manual_seed(0))
-        for iteration, depth in enumerate((False, True), start=1):
+        for iteration, views in enumerate((1, 2), start=1):  # gradients of two take other kernels than those of one
             model.begin(iteration)
-            for _ in range(1 + depth):  # the gradients of two views take other kernels than those of one
-                render = model.render(camera, depth=depth)
+            for _ in range(views):
+                render = model.render(camera, depth=depth and views == 2)
                 black = torch.zeros_like(render.image)
                 loss = thermal_loss(render.image, black, 0.2, 0.1, "written")
                 if masked:

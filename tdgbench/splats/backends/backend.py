@@ -79,8 +79,11 @@ class Backend(Protocol):
         """
         return None
 
-    def compiling(self, channels: set[int]) -> AbstractContextManager[None]:
-        """Return a context manager for the first steps of a training, which may compile kernels in the background."""
+    def compiling(self, channels: set[int], depth: bool) -> AbstractContextManager[None]:
+        """Return a context manager for the first steps of a training, which may compile kernels in the background.
+
+        channels: numbers of colour channels that it renders. depth: it takes gradients of depth, too.
+        """
         return nullcontext()
 
     def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:

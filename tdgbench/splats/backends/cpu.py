@@ -101,8 +101,8 @@ class CpuBackend(Backend):
     inputs = "float32 tensors on the CPU"
     devices = ("cpu",)
 
-    def compiling(self, channels: set[int]) -> AbstractContextManager[None]:
-        return compiled_alongside(channels)
+    def compiling(self, channels: set[int], depth: bool) -> AbstractContextManager[None]:
+        return compiled_alongside(channels, depth)
 
     def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
         means, quats, scales, opacities, colors, sh_degree = gaussians

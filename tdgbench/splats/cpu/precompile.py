@@ -38,16 +38,17 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 @contextmanager
-def compiled_alongside(channels: set[int]) -> Iterator[None]:
+def compiled_alongside(channels: set[int], depth: bool) -> Iterator[None]:
     """Compile in a second process during the block, if there is a core for it and the cache lacks the kernels.
 
-    channels: numbers of colour channels that the training renders.
+    channels: numbers of colour channels that the training renders. depth: its loss takes rendered depth, too.
     """
-    done = jit.CACHE_DIR / f"compiled-{'-'.join(map(str, sorted(channels)))}"
+    kinds = [*map(str, sorted(channels)), *["depth"] * depth]
+    done = jit.CACHE_DIR / f"compiled-{'-'.join(kinds)}"
     if done.exists() or pool.available_cores() < 2:
         yield
         return
-    command = [sys.executable, "-m", "tdgbench.splats.cpu.precompile", *map(str, sorted(channels))]
+    command = [sys.executable, "-m", "tdgbench.splats.cpu.precompile", *kinds]
     helper = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         yield
@@ -59,10 +60,10 @@ def compiled_alongside(channels: set[int]) -> Iterator[None]:
         helper.wait()
 
 
-def compile_last_kernels(channels: list[int]) -> None:
-    """Compile the kernels that a training reaches last, the last ones first."""
-    for colors in sorted(channels, reverse=True):
-        for depth in (True, False):
+def compile_last_kernels(kinds: list[str]) -> None:
+    """Compile the kernels that a training reaches last, the last ones first: of numbers of channels and `depth`."""
+    for colors in sorted((int(kind) for kind in kinds if kind.isdigit()), reverse=True):
+        for depth in (True, False) if "depth" in kinds else (False,):
             blend_nothing(colors, depth)
 
 
@@ -82,4 +83,4 @@ def blend_nothing(colors: int, depth: bool) -> None:
 
 
 if __name__ == "__main__":
-    compile_last_kernels([int(count) for count in sys.argv[1:]])
+    compile_last_kernels(sys.argv[1:])

@@ -34,8 +34,8 @@ class Double(Backend):
         return dtype == torch.float32
 
     @contextmanager
-    def compiling(self, channels):
-        CALLS.append(sorted(channels))
+    def compiling(self, channels, depth):
+        CALLS.append((sorted(channels), depth))
         yield
 
     def render(self, gaussians, camera, options):
@@ -71,7 +71,7 @@ def test_a_new_backend_renders(double):
 
 def test_a_new_backend_trains(double, small_gray_scene):
     compile_kernels({1}, instantiate(config("budget=demo").budget), "double")
-    assert double.CALLS == [[1], "render", "render", "render"]
+    assert double.CALLS == [([1], True), "render", "render", "render"]
     trainer = ready_to_train(small_gray_scene, "tdg", 3)
     method = trainer.method
     method.model.backend = method.backend = "double"
