@@ -28,13 +28,13 @@ class ExperimentCallback(Callback):
 
     def on_run_start(self, config: DictConfig, **kwargs: object) -> None:
         with _status_1_on_error():
-            folder = Path(config.results) / config.name
             experiment = experiment_of(names_to_text(config))
             experiment.check(config)
             experiment.check_typed(config.hydra.overrides.task)
             if experiment.one_job and number_of_jobs(config) != 1 and "name" not in swept(config):
                 what = "has several values, whose results would replace one another: run each with its own name="
                 raise OptionError([Problem(option, what) for option in swept(config)])
+            folder = Path(config.results) / config.name
             check_results_folder(folder)
             ExperimentCallback.folder = folder
             experiment.start(config)

@@ -139,14 +139,15 @@ class Adam:
         state.now += 1
         if not self.is_sparse:
             return self._step_all(gradients.compute().values, rates / bias1, np.sqrt(bias2))
-        self._used = max(self._used, gradients.columns)
+        columns = min(gradients.columns, state.values.shape[1])
+        self._used = max(self._used, columns)
         roots = np.sqrt(bias2)
         step_sizes, per_bias2 = self._update_columns
         np.divide(rates, bias1, out=step_sizes, casting="same_kind")
         np.divide(1, roots, out=per_bias2, casting="same_kind")
         self._coefficients[state.now % FLUSH_EVERY] = rates * roots / bias1
         update = Update(step_sizes, per_bias2, *UPDATE_CONSTANTS)
-        step = AdamStep(self._rows(gradients.columns), self._deferred(state.now - 1), self._decay, update)
+        step = AdamStep(self._rows(columns), self._deferred(state.now - 1), self._decay, update)
         bad = gradients.take_step(step, statistics)
         deferred = state.now - self._flushed
         sum_displacements(deferred, state.now, self._coefficients, np.float32(RHO), self._displacements)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
+from tdgbench.splats.columns import ALIGNMENT, COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu.scratch import empty_aligned, free_buffers
 from tdgbench.splats.gaussians import Gaussians
 
@@ -36,7 +36,7 @@ class StateArrays(NamedTuple):
 
 
 class TrainingState:
-    """N Gaussians as rows (N, columns): means, quats, log_scales, opacity_logits, sh, others; a row fills cache lines.
+    """N Gaussians as rows (N, columns): means, quats, log_scales, opacity_logits, sh, others, one after the other.
 
     `first` and `second` are Adam's moments in the same layout. The arrays have spare capacity, so that Gaussians can be
     added and removed without copying the others.
@@ -49,7 +49,7 @@ class TrainingState:
         self.count = count
         self._arrays: StateArrays | None = None  # of the current rows
         like = gaussians.means.detach()
-        shape = (max(count, 1), padded(self.columns))
+        shape = (max(count, 1), max(self.columns, ALIGNMENT))
         self._values, self._first, self._second = (_allocate(like, shape).zero_() for _ in range(3))
         self._clocks = torch.zeros(shape[0], 2, dtype=torch.int32, device=like.device)
         self.now = 0  # steps of the optimiser so far
@@ -232,9 +232,13 @@ def compact(tensor: Tensor) -> Tensor:
 
 
 def _allocate(like: Tensor, shape: tuple[int, int]) -> Tensor:
-    """Return an uninitialised tensor of the type and device of `like`; float32 on the CPU is aligned to cache lines."""
+    """Return an uninitialised tensor of the type and device of `like`.
+
+    On the CPU, float32 begins on a cache line and may be read a line beyond its end.
+    """
     if like.device.type == "cpu" and like.dtype == torch.float32:
-        return torch.from_numpy(empty_aligned(shape, np.float32))
+        whole = empty_aligned((math.prod(shape) + ALIGNMENT,), np.float32)
+        return torch.from_numpy(whole[: math.prod(shape)].reshape(shape))
     return like.new_empty(shape)
 
 

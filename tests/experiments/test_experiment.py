@@ -63,9 +63,10 @@ def squares(tmp_path, monkeypatch):
 
 
 def test_a_single_run(squares):
-    run = squares("study.numbers=[3, 4]")
+    run = squares("study.numbers=[3, 4]", "name=2024")  # YAML reads a number
     assert run.returncode == 0, run.stderr[-3000:]
-    assert squares.log.read_text().splitlines() == ["start [3, 4]", "run [9, 16] seed 0", "end 0"]
+    log = squares.log.parents[1] / "2024" / "log.txt"
+    assert log.read_text().splitlines() == ["start [3, 4]", "run [9, 16] seed 0", "end 0"]
 
 
 def test_a_sweep_and_a_failing_end(squares):

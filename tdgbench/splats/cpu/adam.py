@@ -15,7 +15,7 @@ import numpy as np
 
 from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.simd.memory import load, prefetch_columns, prefetch_row, store
+from tdgbench.splats.cpu.simd.memory import load_anywhere, prefetch_columns, prefetch_row, store_anywhere
 from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, is_finite, select, square_root
 
 F, U = np.float32, np.uint64
@@ -23,7 +23,11 @@ PREFETCH_DISTANCE = 6  # rows
 
 
 class Rows(NamedTuple):
-    """Parameters and moments of N Gaussians, `stride` floats a row, of which the first `columns` are in use."""
+    """Parameters and moments of N Gaussians, `stride` floats a row, of which the first `columns` are in use.
+
+    They fill a register or more. Where they end within one, the last register begins earlier, and overlaps the one
+    before: it is loaded before that is stored.
+    """
 
     parameters: np.ndarray  # float32 (N · stride,)
     first: np.ndarray  # float32 (N · stride,): m
@@ -114,13 +118,21 @@ def apply_deferred(rows, i, row, deferred):
     steps = deferred.now - rows.clocks[i, U(1)]
     decayed = rows.clocks[i, U(1)] - rows.clocks[i, U(0)]
     if steps > 0:
-        decay = deferred.rho_powers[U(decayed)]
-        for j in range(0, rows.columns, LANES):
+        decay, at, last = deferred.rho_powers[U(decayed)], steps * rows.stride, rows.columns - LANES
+        of_last = load_anywhere(rows.parameters, row + U(last))
+        for j in range(0, last, LANES):
             o = row + U(j)
-            speed = divide(load(rows.first, o), square_root(load(rows.second, o)) + deferred.eps)
-            displacement = load(deferred.displacements, steps * rows.stride + j) * decay
-            store(rows.parameters, o, load(rows.parameters, o) - speed * displacement)
+            move_register(rows, o, load_anywhere(rows.parameters, o), deferred, at + j, decay)
+        move_register(rows, row + U(last), of_last, deferred, at + last, decay)
     rows.clocks[i, U(1)] = deferred.now
+
+
+@kernel(inline=True)
+def move_register(rows, o, parameters, deferred, at, decay):
+    """Move the register of parameters at o by its deferred steps, whose displacements are at `at`."""
+    speed = divide(load_anywhere(rows.first, o), square_root(load_anywhere(rows.second, o)) + deferred.eps)
+    displacement = load_anywhere(deferred.displacements, at) * decay
+    store_anywhere(rows.parameters, o, parameters - speed * displacement)
 
 
 @kernel(inline=True)
@@ -129,40 +141,56 @@ def step_row(step, i, gradients, source, bad):
 
     bad (stride,) float32: becomes 1 in columns whose gradient is not finite.
     """
-    rows, deferred, update = step.rows, step.deferred, step.update
-    one = broadcast(F(1))
+    rows, deferred = step.rows, step.deferred
     now = deferred.now + 1
     steps = U(now - rows.clocks[i, U(0)])
-    decay1, decay2 = step.decay.first[steps], step.decay.second[steps]
-    row = i * U(rows.stride)
+    decay = step.decay.first[steps], step.decay.second[steps]
+    row, last = i * U(rows.stride), rows.columns - LANES
     if rows.clocks[i, U(1)] < deferred.now:
         apply_deferred(rows, i, row, deferred)
-    for j in range(0, rows.columns, LANES):
-        g = load(gradients, source + U(j))
-        store(bad, j, select(is_finite(g), load(bad, j), one))
-        o = row + U(j)
-        m = load(rows.first, o) * decay1 + g * update.rest1
-        v = load(rows.second, o) * decay2 + g * g * update.rest2
-        store(rows.first, o, m)
-        store(rows.second, o, v)
-        move = divide(m, square_root(v) * load(update.per_bias2, j) + update.eps) * load(update.step_sizes, j)
-        store(rows.parameters, o, load(rows.parameters, o) - move)
+    # Gradients are loaded before moments: LLVM orders sums by their loads, and so chooses which product is fused.
+    g_last = load_anywhere(gradients, source + U(last))
+    of_last = registers_at(rows, row + U(last))
+    for j in range(0, last, LANES):
+        g, o = load_anywhere(gradients, source + U(j)), row + U(j)
+        step_register(rows, o, registers_at(rows, o), g, decay, step.update, j, bad)
+    step_register(rows, row + U(last), of_last, g_last, decay, step.update, last, bad)
     rows.clocks[i, U(0)] = now
     rows.clocks[i, U(1)] = now
     write_bounds(rows, i, row)
 
 
+@kernel(inline=True)
+def registers_at(rows, o):
+    """Parameters and moments at o."""
+    return load_anywhere(rows.parameters, o), load_anywhere(rows.first, o), load_anywhere(rows.second, o)
+
+
+@kernel(inline=True)
+def step_register(rows, o, before, g, decay, update, j, bad):
+    """Step the register at o, column j and those after it, by its gradient g; before: `registers_at` o."""
+    parameters, m, v = before
+    store_anywhere(bad, j, select(is_finite(g), load_anywhere(bad, j), broadcast(F(1))))
+    m = m * decay[0] + g * update.rest1
+    v = v * decay[1] + g * g * update.rest2
+    store_anywhere(rows.first, o, m)
+    store_anywhere(rows.second, o, v)
+    per_bias2, step_sizes = load_anywhere(update.per_bias2, j), load_anywhere(update.step_sizes, j)
+    move = divide(m, square_root(v) * per_bias2 + update.eps) * step_sizes
+    store_anywhere(rows.parameters, o, parameters - move)
+
+
 @kernel()
 def step_rows(first, count, index, gradients, step, bad):
-    """Step the rows index[first : first + count], int32 (capacity,), by gradients, float32 (capacity, rows.columns).
+    """Step the rows index[first : first + count], int32 (capacity,), by gradients, float32 (capacity, columns or more).
 
     step: AdamStep. bad (stride,) float32: becomes 1 in columns with a gradient that is not finite.
     """
-    flat, rows = gradients.reshape(-1), step.rows
+    flat, rows, stride = gradients.reshape(-1), step.rows, U(gradients.shape[1])
     last = U(first + count - 1)
     for r in range(U(first), U(first + count)):
         prefetch_gaussian(rows, np.int64(index[min(r + U(PREFETCH_DISTANCE), last)]))
-        step_row(step, U(index[r]), flat, r * U(rows.columns), bad)
+        step_row(step, U(index[r]), flat, r * stride, bad)
 
 
 @kernel()
@@ -173,10 +201,14 @@ def flush_rows(start, stop, rows, deferred, decay):
         apply_deferred(rows, i, row, deferred)
         steps = U(deferred.now - rows.clocks[i, U(0)])
         if steps > U(0):
-            for j in range(0, rows.columns, LANES):
+            last = rows.columns - LANES
+            _, m, v = registers_at(rows, row + U(last))
+            for j in range(0, last, LANES):
                 o = row + U(j)
-                store(rows.first, o, load(rows.first, o) * decay.first[steps])
-                store(rows.second, o, load(rows.second, o) * decay.second[steps])
+                store_anywhere(rows.first, o, load_anywhere(rows.first, o) * decay.first[steps])
+                store_anywhere(rows.second, o, load_anywhere(rows.second, o) * decay.second[steps])
+            store_anywhere(rows.first, row + U(last), m * decay.first[steps])
+            store_anywhere(rows.second, row + U(last), v * decay.second[steps])
         rows.clocks[i, U(0)] = deferred.now
         write_bounds(rows, i, row)
 

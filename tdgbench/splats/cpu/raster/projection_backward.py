@@ -105,7 +105,8 @@ def write_rows(gaussian_ids, k, scratch, done, rows):
 @kernel(inline=True)
 def step_group(gaussian_ids, k, count, scratch, step):
     """Take the step of a group's first `count` Gaussians."""
-    columns, statistics, image = step.step.rows.columns, step.statistics, scratch.image
+    statistics, image = step.statistics, scratch.image
+    columns = (step.step.rows.columns + LANES - 1) // LANES * LANES
     for c in range(0, columns, LANES):
         turn_block(scratch.gradient, c * LANES, LANES, scratch.rows, c, columns)
     for lane in range(U(count)):

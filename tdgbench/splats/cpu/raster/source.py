@@ -19,9 +19,9 @@ BOUNDS = 4  # floats of a row's bounds: mean and largest log scale
 
 
 class Parameters(NamedTuple):
-    """Rows of N Gaussians, which are padded to whole cache lines."""
+    """Rows of N Gaussians, `stride` floats each."""
 
-    values: np.ndarray  # (N · stride,) float32
+    values: np.ndarray  # (N · stride,) float32; a cache line beyond may be read
     stride: int
     raw: bool  # before activation: scales are natural logarithms, opacities are logits
 

@@ -138,8 +138,10 @@ def _call_prefetch(builder, pointer):
 @kernel(inline=True)
 def prefetch_columns(values, row, stride, column, count):
     """Prefetch columns [column, column + count) of a row of a matrix (rows, stride) in flat memory."""
+    first = row * stride + column
     for j in range(0, count, LINE):
-        prefetch(values, U(row * stride + column + j))
+        prefetch(values, U(first + j))
+    prefetch(values, U(first + count - 1))  # a row may begin within a cache line
 
 
 def _element(builder, data, row, stride, column):
