@@ -7,6 +7,7 @@ under their names: `sh_rgb_3_0` is the first channel of the fourth coefficient o
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from tdgbench.files import whole_file
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.harmonics import MAX_DEGREE, num_bases
 
-CHUNK_ROWS = 100_000  # written at once
+CHUNK_ROWS = 100_000  # read or written at once
 
 
 def _columns(rest: int) -> list[str]:
@@ -67,58 +68,78 @@ def _column(name: str, at: tuple[int, ...]) -> str:
     return "_".join([name, *map(str, at)])
 
 
-def _extra_fields_of(vertex: PlyElement, names: list[str]) -> dict[str, torch.Tensor]:
-    """Return the further fields that columns of the file hold in full; other columns are ignored."""
+def _extra_shapes(names: list[str]) -> dict[str, tuple[int, ...]]:
+    """Return the shape of one Gaussian's value of each further field whose columns are all there; ignore the others."""
     found: dict[str, list[tuple[int, ...]]] = {}
     for match in filter(None, (re.fullmatch(r"(\w*?[^\W_])((?:_\d+){1,2})", name) for name in names)):
         found.setdefault(match[1], []).append(tuple(int(number) for number in match[2].split("_")[1:]))
-    extra_fields = {}
+    shapes = {}
     for name, places in found.items():
         shape = tuple(1 + int(axis) for axis in np.max(places, axis=0)) if len({*map(len, places)}) == 1 else ()
         if sorted(places) == [*np.ndindex(*shape)]:
-            values = np.stack([_finite(vertex, _column(name, at)) for at in sorted(places)], axis=-1)
-            extra_fields[name] = torch.from_numpy(values.reshape(-1, *shape))
-    return extra_fields
+            shapes[name] = shape
+    return shapes
 
 
 def load_ply(path: Path) -> Gaussians:
-    """Read a 3DGS model.
+    """Read a 3DGS model, piece by piece: the file is never in memory as a whole.
 
     Raises ValueError with the file's name if it is not one: not a regular file, without a column, shorter than its
     header says, or with numbers that are not finite.
     """
     try:
         vertex = _vertices(path)
-        names = {p.name for p in vertex.properties}
+        names = [p.name for p in vertex.properties]
         rest = sum(name.startswith("f_rest_") for name in names) // 3
-        missing = set(_columns(rest)) - names - {"nx", "ny", "nz"}
+        missing = {*_columns(rest)} - {*names, "nx", "ny", "nz"}
         if missing:
             raise ValueError(f"it has no {', '.join(sorted(missing))}")
         if rest + 1 not in map(num_bases, range(MAX_DEGREE + 1)):
             raise ValueError(f"{rest} f_rest coefficients per channel are no SH degree from 0 to {MAX_DEGREE}")
-        columns = {name: _finite(vertex, name) for name in _columns(rest) if name not in ("nx", "ny", "nz")}
-        extra_fields = _extra_fields_of(vertex, [p.name for p in vertex.properties if p.name not in _columns(rest)])
+        return _read(path, vertex, rest, _extra_shapes([name for name in names if name not in _columns(rest)]))
     except Exception as error:
         raise ValueError(f"{path} is not a 3DGS model: {error}") from error
 
-    def stack(*names: str) -> torch.Tensor:
-        return torch.from_numpy(np.stack([columns[name] for name in names], axis=-1))
 
-    dc = stack(*(f"f_dc_{i}" for i in range(3)))[:, None]
-    sh = dc
-    if rest:
-        harmonics = stack(*(f"f_rest_{i}" for i in range(3 * rest)))
-        sh = torch.cat([dc, harmonics.reshape(len(dc), 3, rest).transpose(1, 2)], dim=1)
-    if len(sh) and bool((sh == sh[..., :1]).all()):
-        sh = sh[..., :1]
+def _read(path: Path, vertex: PlyElement, rest: int, extra: dict[str, tuple[int, ...]]) -> Gaussians:
+    """Read the rows of a model; extra: shapes of the further fields."""
+    columns = {
+        "means": [*"xyz"],
+        "log_scales": [f"scale_{i}" for i in range(3)],
+        "quats": [f"rot_{i}" for i in range(4)],
+        "opacity_logits": ["opacity"],
+        **{name: [_column(name, at) for at in np.ndindex(*shape)] for name, shape in extra.items()},
+    }
+    # by basis, as in memory; in the file they are channel by channel
+    of_sh = [f"f_dc_{c}" for c in range(3)] + [f"f_rest_{c * rest + b}" for b in range(rest) for c in range(3)]
+    read = {name: torch.empty(len(vertex), len(of_field)) for name, of_field in columns.items()}
+    sh = torch.empty(len(vertex), rest + 1, 1)
+    for start, rows in _pieces(path, vertex):
+        here = slice(start, start + len(rows))
+        for name, of_field in columns.items():
+            read[name][here] = _finite(rows, of_field, start)
+        colors = _finite(rows, of_sh, start).unflatten(1, (rest + 1, 3))
+        if sh.shape[2] == 1 and not bool((colors == colors[..., :1]).all()):
+            sh = sh.repeat(1, 1, 3)
+        sh[here] = colors[..., : sh.shape[2]]
+    if not len(vertex):
+        sh = sh.repeat(1, 1, 3)
     return Gaussians(
-        means=stack(*"xyz"),
-        log_scales=stack(*(f"scale_{i}" for i in range(3))),
-        quats=stack(*(f"rot_{i}" for i in range(4))),
-        opacity_logits=torch.from_numpy(columns["opacity"]),
-        sh=sh.contiguous(),
-        extra_fields=extra_fields,
-    )
+        read["means"], read["log_scales"], read["quats"], read["opacity_logits"].squeeze(1), sh,
+        {name: read[name].unflatten(1, shape) for name, shape in extra.items()},
+    )  # fmt: skip
+
+
+def _pieces(path: Path, vertex: PlyElement) -> Iterator[tuple[int, np.ndarray]]:
+    """Yield the first row and the rows of each piece. Those of a mapped file are read: mapped, they would add up."""
+    data = vertex.data
+    for start in range(0, len(data), CHUNK_ROWS):
+        count = min(CHUNK_ROWS, len(data) - start)
+        if isinstance(data, np.memmap):
+            at = data.offset + start * data.dtype.itemsize
+            yield start, np.fromfile(path, data.dtype, count, offset=at)
+        else:
+            yield start, data[start : start + count]
 
 
 def count_rows(path: Path) -> int:
@@ -148,10 +169,11 @@ def _vertices(path: Path) -> PlyElement:
     return content["vertex"]
 
 
-def _finite(vertex: PlyElement, name: str) -> np.ndarray:
-    """Return a column (N,) float32. Raises ValueError if it has infinite numbers or NaN."""
+def _finite(rows: np.ndarray, names: list[str], first: int) -> torch.Tensor:
+    """Return columns (n, columns) float32 of rows from number `first` on. Raises ValueError for one not finite."""
     with np.errstate(over="ignore"):
-        values = np.array(vertex[name], np.float32)
-    if not np.isfinite(values).all():
-        raise ValueError(f"{name} of row {int(np.argmin(np.isfinite(values)))} is not a finite number")
-    return values
+        values = np.stack([rows[name].astype(np.float32) for name in names], axis=-1)
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        raise ValueError(f"{names[bad[0, 1]]} of row {first + bad[0, 0]} is not a finite number")
+    return torch.from_numpy(values)

@@ -32,6 +32,20 @@ def test_a_model_is_written_piece_by_piece(tmp_path, monkeypatch):
     assert (tmp_path / "pieces.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
+@pytest.mark.parametrize("gray", [0, 4, 9, 10])
+def test_a_model_is_read_piece_by_piece(tmp_path, monkeypatch, gray):
+    """The first rows are gray; only if all are, the model is."""
+    given = model(3, 2, count=10)
+    given.sh[:gray] = given.sh[:gray, :, :1]
+    field = torch.rand(10, 2)
+    save_ply(replace(given, extra_fields={"heat": field}), tmp_path / "model.ply")
+    monkeypatch.setattr(ply, "CHUNK_ROWS", 4)
+    loaded = load_ply(tmp_path / "model.ply")
+    assert loaded.channels == (1 if gray == 10 else 3) and torch.equal(loaded.extra_fields["heat"], field)
+    for name in loaded.names():
+        assert torch.equal(getattr(loaded, name), getattr(given, name)[..., : loaded.channels if name == "sh" else None])
+
+
 def test_columns_are_those_of_3dgs(tmp_path):
     saved = model(3, 3)
     save_ply(saved, tmp_path / "model.ply")

@@ -59,7 +59,7 @@ def sort_lists(counter, longest, pairs, depth_keys, out):
 
 @kernel(inline=True)
 def number(pairs, depth_keys, begin, count, numbers):
-    """numbers[:count] = depth above the least and position of the pairs from `begin` on; returns the bits of a depth."""
+    """numbers[:count] = depth above the least, and position, of the pairs from `begin` on; returns a depth's bits."""
     least, most = LOWER, U(0)
     for i in range(U(count)):
         depth = U(depth_keys[pairs[U(begin) + i] & LOWER])
