@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.columns import ALIGNMENT, COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
-from tdgbench.splats.cpu.scratch import empty_aligned, free_buffers
+from tdgbench.splats.cpu.scratch import empty_rows, free_buffers
 from tdgbench.splats.gaussians import Gaussians
 
 MEANS, SCALES = slice(MEANS_AT, MEANS_AT + 3), slice(SCALES_AT, SCALES_AT + 3)
@@ -50,12 +50,12 @@ class TrainingState:
         self._arrays: StateArrays | None = None  # of the current rows
         like = gaussians.means.detach()
         shape = (max(count, 1), max(self.columns, ALIGNMENT))
-        self._values, self._first, self._second = (_allocate(like, shape).zero_() for _ in range(3))
+        self._values, self._first, self._second = (_allocate(like, shape, zeros=True) for _ in range(3))
         self._clocks = torch.zeros(shape[0], 2, dtype=torch.int32, device=like.device)
         self.now = 0  # steps of the optimiser so far
-        self.values[:] = self.rows_of(gaussians)
+        self._write(gaussians, self.values)
         self._bounds = _bounds_of(self._values)
-        self.order_in_space()
+        self._order_in_space(self._values, self._bounds)  # zeros that are not moved take no memory
 
     def __len__(self) -> int:
         return self.count
@@ -115,9 +115,13 @@ class TrainingState:
     def rows_of(self, gaussians: Gaussians) -> Tensor:
         """Convert Gaussians to new rows (n, columns)."""
         rows = self._values.new_zeros(len(gaussians), self._values.shape[1])
+        self._write(gaussians, rows)
+        return rows
+
+    def _write(self, gaussians: Gaussians, rows: Tensor) -> None:
+        """Write Gaussians to rows (n, columns)."""
         for part, given in zip(self.split(rows).items(), gaussians.items(), strict=True):
             part[1].copy_(given[1].detach().reshape(part[1].shape))
-        return rows
 
     def columns_of(self, name: str) -> slice:
         """Return the columns of a parameter."""
@@ -166,8 +170,11 @@ class TrainingState:
 
         All rows must be current.
         """
+        self._order_in_space(self._values, self._bounds, self._first, self._second)
+
+    def _order_in_space(self, *arrays: Tensor) -> None:
         order = _z_order(self.values[:, MEANS])
-        for array in (self._values, self._bounds, self._first, self._second):
+        for array in arrays:
             for some in array.split(COLUMNS_AT_ONCE, dim=1):  # a copy of all would double the memory
                 some[: self.count] = some.index_select(0, order)
         self._ordered_at = self.count
@@ -231,15 +238,11 @@ def compact(tensor: Tensor) -> Tensor:
     return torch.from_numpy(tensor.detach().cpu().numpy())
 
 
-def _allocate(like: Tensor, shape: tuple[int, int]) -> Tensor:
-    """Return an uninitialised tensor of the type and device of `like`.
-
-    On the CPU, float32 begins on a cache line and may be read a line beyond its end.
-    """
+def _allocate(like: Tensor, shape: tuple[int, int], zeros: bool = False) -> Tensor:
+    """Return an uninitialised tensor, or zeros, of the type and device of `like`; see `empty_rows` for the CPU's."""
     if like.device.type == "cpu" and like.dtype == torch.float32:
-        whole = empty_aligned((math.prod(shape) + ALIGNMENT,), np.float32)
-        return torch.from_numpy(whole[: math.prod(shape)].reshape(shape))
-    return like.new_empty(shape)
+        return torch.from_numpy(empty_rows(*shape, zeros=zeros))
+    return like.new_zeros(shape) if zeros else like.new_empty(shape)
 
 
 def _z_order(means: Tensor) -> Tensor:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.transfer import received
+from tdgbench.training.losses import keep_prepared
 from tdgbench.training.method import Step
 from tdgbench.training.part import NonFiniteError, Part, Stopping, TrainingError
 from tdgbench.training.trainer import Trainer
@@ -96,6 +97,7 @@ def train(
                     clock.write_times()
                     line = _line(log, step, trainer)
                     log.lines.append(line)
+                    keep_prepared(line.gaussians)
                     if on_log_line is not None:
                         on_log_line(line)
                 if ends_stage:

@@ -23,6 +23,7 @@ from tdgbench.splats.cpu.losses.photometric import Target, photometric_and_gradi
 from tdgbench.splats.warp import fuses
 from tdgbench.training import torch_losses
 
+MANY = 1_000_000  # Gaussians
 CACHE_BYTES = 192 * 2**20  # of filtered images: 80 views of 640 × 480 px with one channel, or 40 with depth priors
 MIN_RANGE = 1e-8  # of a map that min-max normalisation stretches
 
@@ -283,8 +284,16 @@ class PreparedTargets:
                 weakref.finalize(image, self._forget, id(image))
         return new.target
 
+    def limit(self, max_bytes: int) -> None:
+        """Change the number of bytes; where it is exceeded, forget all of them."""
+        self.max_bytes = max_bytes
+        if self.bytes > max_bytes:
+            self._prepared.clear()
+            self.bytes = 0
+
     def _forget(self, key: int) -> None:
-        self.bytes -= self._prepared.pop(key).bytes
+        stored = self._prepared.pop(key, None)
+        self.bytes -= 0 if stored is None else stored.bytes
 
 
 class ValidPixels:
@@ -304,3 +313,8 @@ class ValidPixels:
 
 
 _PREPARED, _VALID_PIXELS = PreparedTargets(), ValidPixels()
+
+
+def keep_prepared(gaussians: int) -> None:
+    """Keep prepared images while there are few Gaussians: with MANY, preparing them takes a hundredth of a step."""
+    _PREPARED.limit(CACHE_BYTES if gaussians < MANY else 0)

@@ -43,7 +43,9 @@ def test_a_model_is_read_piece_by_piece(tmp_path, monkeypatch, gray):
     loaded = load_ply(tmp_path / "model.ply")
     assert loaded.channels == (1 if gray == 10 else 3) and torch.equal(loaded.extra_fields["heat"], field)
     for name in loaded.names():
-        assert torch.equal(getattr(loaded, name), getattr(given, name)[..., : loaded.channels if name == "sh" else None])
+        assert torch.equal(
+            getattr(loaded, name), getattr(given, name)[..., : loaded.channels if name == "sh" else None]
+        )
 
 
 def test_columns_are_those_of_3dgs(tmp_path):

@@ -249,6 +249,20 @@ def test_no_more_is_prepared_than_allowed():
         False
     ] * 2
     assert kept.bytes == kept.max_bytes
+    kept.limit(0)
+    assert kept.bytes == 0 and kept.of(images[0], None) is not kept.of(images[0], None)
+    kept.limit(2 * 4 * 400)
+    assert kept.of(images[0], None) is kept.of(images[0], None)
+    del images
+    gc.collect()
+    assert kept.bytes == 0
+
+
+def test_images_are_kept_for_few_gaussians_alone():
+    image, kept = torch.rand(20, 20, 1), losses._PREPARED
+    for gaussians, is_kept in ((losses.MANY, False), (losses.MANY - 1, True)):
+        losses.keep_prepared(gaussians)
+        assert (kept.of(image, None) is kept.of(image, None)) == is_kept
 
 
 def test_valid_pixels_are_counted_once_per_mask(monkeypatch):

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend, Collect, StateOptions, SumFootprints
-from tdgbench.splats.columns import COLORS_AT
+from tdgbench.splats.columns import COLORS_AT, padded
 from tdgbench.splats.cpu.precompile import compiled_alongside
 from tdgbench.splats.cpu.raster.passes import Blended, blend_backward, forward
 from tdgbench.splats.cpu.raster.source import Span, source_of_arrays, source_of_rows
@@ -70,7 +70,7 @@ class Rasterize(torch.autograd.Function):
         rows = blend_backward(source, settings, done, *_arrays((grad_color, grad_depth, grad_transmittance))).rows()
         ids, values, image = rows.arrays
         columns = [*GEOMETRY_SIZES, math.prod(color_shape[1:])]
-        dense = _spread(values, ids, rows.spans, source.count, source.parameters.stride)[:, : sum(columns)]
+        dense = _spread(values, ids, rows.spans, source.count, padded(sum(columns)))[:, : sum(columns)]
         means, quats, scales, opacities, colors = dense.split(columns, dim=1)
         image = _spread(image, ids, rows.spans, source.count)
         if absgrad is not None:

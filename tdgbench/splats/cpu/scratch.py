@@ -29,8 +29,16 @@ def empty_aligned(shape: tuple[int, ...], dtype: type) -> np.ndarray:
     return np.ndarray(shape, dtype, _aligned_bytes(math.prod(shape) * np.dtype(dtype).itemsize))
 
 
-def _aligned_bytes(size: int) -> np.ndarray:
-    buffer = np.empty(size + ALIGNMENT, np.uint8)
+def empty_rows(count: int, columns: int, zeros: bool = False) -> np.ndarray:
+    """Return rows (count, columns) float32, from a cache line on, that may be read a line beyond their end.
+
+    Uninitialised, or zeros: those that are never written take no memory, if they are many.
+    """
+    return np.ndarray((count, columns), np.float32, _aligned_bytes(4 * count * columns + ALIGNMENT, zeros))
+
+
+def _aligned_bytes(size: int, zeros: bool = False) -> np.ndarray:
+    buffer = (np.zeros if zeros else np.empty)(size + ALIGNMENT, np.uint8)
     start = -buffer.ctypes.data % ALIGNMENT
     return buffer[start : start + size]
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from tdgbench.splats.columns import padded
 from tdgbench.splats.cpu.adam import NO_STALE, Stale
+from tdgbench.splats.cpu.scratch import empty_rows
 
 Span = tuple[int, int]  # first, count
 BOUNDS = 4  # floats of a row's bounds: mean and largest log scale
@@ -48,9 +48,8 @@ class GaussianSource:
 def source_of_arrays(arrays: Sequence[np.ndarray]) -> GaussianSource:
     """Return the source of means (N, 3), quats (N, 4), scales (N, 3), opacities (N,) and colors (N, …), activated."""
     parts = [torch.from_numpy(array).reshape(len(array), math.prod(array.shape[1:])) for array in arrays]
-    columns = sum(part.shape[1] for part in parts)
-    padding = torch.zeros(len(parts[0]), padded(columns) - columns)
-    values = torch.cat([*parts, padding], dim=1).numpy()  # NumPy takes twice as long
+    values = empty_rows(len(parts[0]), sum(part.shape[1] for part in parts))
+    torch.cat(parts, dim=1, out=torch.from_numpy(values))  # NumPy takes twice as long
     largest = functools.reduce(np.maximum, arrays[2].T)
     bounds = np.concatenate([arrays[0], largest[:, None]], axis=1)
     return source_of_rows(values, bounds, 0.0, 0.0, raw=False)
