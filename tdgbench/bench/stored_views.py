@@ -20,6 +20,7 @@ from tdgbench.scenes import Scene, View
 from tdgbench.scenes.modalities import OTHERS, THERMAL
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scoring import RenderedImages
+from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.ply import load_ply
 from tdgbench.splats.view import Render
 
@@ -63,8 +64,8 @@ class StoredViews:
 
         Raises ValueError if the cell has no model, or one that cannot be read.
         """
-        render_from, response = self.renderer(THERMAL), response_of(self.record)
-        gaussians = load_ply(self.folder / files_of(THERMAL).model)
+        gaussians, response = load_ply(self.folder / files_of(THERMAL).model), response_of(self.record)
+        render_from = self.renderer(THERMAL, gaussians)
         known = determinacy_of(gaussians, self.all_cameras["train"].values())
         found = {}
         for name, camera in self.cameras.items():
@@ -76,17 +77,18 @@ class StoredViews:
             )  # fmt: skip
         return found
 
-    def renderer(self, modality: str) -> Callable[[str], Render]:
+    def renderer(self, modality: str, gaussians: Gaussians | None = None) -> Callable[[str], Render]:
         """Return what renders a view of the stored Gaussians, or of the method where it renders more than these.
 
+        gaussians: the stored ones, if they are loaded already.
         Raises ValueError, naming the file, for what cannot be read.
         """
         if (self.folder / stored_parts.FILE).exists():
             method = self._method
             return lambda name: method.render_from(self.cameras[name], modality, name)
-        gaussians = load_ply(self.folder / files_of(modality).model)
+        stored = load_ply(self.folder / files_of(modality).model) if gaussians is None else gaussians
         return lambda name: render_model(
-            gaussians, self.cameras[name], depth=modality == THERMAL, blending=blending_of(self.record),
+            stored, self.cameras[name], depth=modality == THERMAL, blending=blending_of(self.record),
             background=background_of(self.record, modality),
         )  # fmt: skip
 
