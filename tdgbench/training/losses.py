@@ -20,6 +20,7 @@ from torch import Tensor
 
 from tdgbench.splats.cpu.losses.minmax import inverse_depth, inverse_depth_gradient, normalise, normalise_gradient
 from tdgbench.splats.cpu.losses.photometric import Target, photometric_and_gradient, prepare_target
+from tdgbench.splats.cpu.scratch import free_buffers
 from tdgbench.splats.warp import fuses
 from tdgbench.training import torch_losses
 
@@ -290,6 +291,7 @@ class PreparedTargets:
         if self.bytes > max_bytes:
             self._prepared.clear()
             self.bytes = 0
+            free_buffers()
 
     def _forget(self, key: int) -> None:
         stored = self._prepared.pop(key, None)
