@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 MEANS_AT, QUATS_AT, SCALES_AT, OPACITY_AT, COLORS_AT = 0, 3, 7, 10, 11
-ALIGNMENT = 16  # floats: rows begin and end on cache lines
+LINE = 16  # floats of a cache line
+LEAST_COLUMNS = 16  # of rows in training: they fill the widest register
 
 
 def padded(columns: int) -> int:
-    """Return the number of columns rounded up to whole cache lines.
+    """Return the number of columns rounded up to whole cache lines, as of rows of gradients.
 
     >>> padded(COLORS_AT + 4), padded(COLORS_AT + 48)
     (16, 64)
     """
-    return -(-columns // ALIGNMENT) * ALIGNMENT
+    return -(-columns // LINE) * LINE

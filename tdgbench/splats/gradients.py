@@ -65,7 +65,10 @@ class Gradients:
             first, count = spans[0]
             spans = [(first + a, b - a) for a, b in pool.chunks(count, pool.threads_for(count, STEPS_EACH))]
         bad = new_flags(len(spans), step)
-        rows = (self.index.numpy(), self.values.numpy(), step)
+        missing, values = step.rows.columns - self.columns, self.values
+        if missing > 0:
+            values = torch.nn.functional.pad(values, (0, missing))
+        rows = (self.index.numpy(), values.numpy(), step)
         pool.run(step_rows, [(*span, *rows, flags) for span, flags in zip(spans, bad, strict=True)])
         return bad
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
+from tdgbench.splats.columns import LEAST_COLUMNS
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.adam import AdamStep, Decay, Deferred, Rows, Stale, Update, flush_rows, sum_displacements
 from tdgbench.splats.cpu.scratch import empty_aligned
@@ -139,7 +140,7 @@ class Adam:
         state.now += 1
         if not self.is_sparse:
             return self._step_all(gradients.compute().values, rates / bias1, np.sqrt(bias2))
-        columns = min(gradients.columns, state.values.shape[1])
+        columns = max(LEAST_COLUMNS, min(gradients.columns, state.values.shape[1]))
         self._used = max(self._used, columns)
         roots = np.sqrt(bias2)
         step_sizes, per_bias2 = self._update_columns

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import torch
@@ -82,27 +83,28 @@ def _extra_shapes(names: list[str]) -> dict[str, tuple[int, ...]]:
 
 
 def load_ply(path: Path) -> Gaussians:
-    """Read a 3DGS model, piece by piece: the file is never in memory as a whole.
+    """Read a 3DGS model, piece by piece: a binary file is never in memory as a whole.
 
     Raises ValueError with the file's name if it is not one: not a regular file, without a column, shorter than its
     header says, or with numbers that are not finite.
     """
     try:
-        vertex = _vertices(path)
-        names = [p.name for p in vertex.properties]
-        rest = sum(name.startswith("f_rest_") for name in names) // 3
-        missing = {*_columns(rest)} - {*names, "nx", "ny", "nz"}
-        if missing:
-            raise ValueError(f"it has no {', '.join(sorted(missing))}")
-        if rest + 1 not in map(num_bases, range(MAX_DEGREE + 1)):
-            raise ValueError(f"{rest} f_rest coefficients per channel are no SH degree from 0 to {MAX_DEGREE}")
-        return _read(path, vertex, rest, _extra_shapes([name for name in names if name not in _columns(rest)]))
+        with _opened(path) as file:
+            return _read(file, _vertices(file))
     except Exception as error:
         raise ValueError(f"{path} is not a 3DGS model: {error}") from error
 
 
-def _read(path: Path, vertex: PlyElement, rest: int, extra: dict[str, tuple[int, ...]]) -> Gaussians:
-    """Read the rows of a model; extra: shapes of the further fields."""
+def _read(file: BinaryIO, vertex: PlyElement) -> Gaussians:
+    """Read the rows of a model. Raises ValueError as `load_ply`."""
+    names = [p.name for p in vertex.properties]
+    rest = sum(name.startswith("f_rest_") for name in names) // 3
+    missing = {*_columns(rest)} - {*names, "nx", "ny", "nz"}
+    if missing:
+        raise ValueError(f"it has no {', '.join(sorted(missing))}")
+    if rest + 1 not in map(num_bases, range(MAX_DEGREE + 1)):
+        raise ValueError(f"{rest} f_rest coefficients per channel are no SH degree from 0 to {MAX_DEGREE}")
+    extra = _extra_shapes([name for name in names if name not in _columns(rest)])
     columns = {
         "means": [*"xyz"],
         "log_scales": [f"scale_{i}" for i in range(3)],
@@ -114,7 +116,7 @@ def _read(path: Path, vertex: PlyElement, rest: int, extra: dict[str, tuple[int,
     of_sh = [f"f_dc_{c}" for c in range(3)] + [f"f_rest_{c * rest + b}" for b in range(rest) for c in range(3)]
     read = {name: torch.empty(len(vertex), len(of_field)) for name, of_field in columns.items()}
     sh = torch.empty(len(vertex), rest + 1, 1)
-    for start, rows in _pieces(path, vertex):
+    for start, rows in _pieces(file, vertex.data):
         here = slice(start, start + len(rows))
         for name, of_field in columns.items():
             read[name][here] = _finite(rows, of_field, start)
@@ -130,39 +132,46 @@ def _read(path: Path, vertex: PlyElement, rest: int, extra: dict[str, tuple[int,
     )  # fmt: skip
 
 
-def _pieces(path: Path, vertex: PlyElement) -> Iterator[tuple[int, np.ndarray]]:
+def _pieces(file: BinaryIO, data: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
     """Yield the first row and the rows of each piece. Those of a mapped file are read: mapped, they would add up."""
-    data = vertex.data
     for start in range(0, len(data), CHUNK_ROWS):
         count = min(CHUNK_ROWS, len(data) - start)
-        if isinstance(data, np.memmap):
-            at = data.offset + start * data.dtype.itemsize
-            yield start, np.fromfile(path, data.dtype, count, offset=at)
-        else:
+        if not isinstance(data, np.memmap):  # of a text file
             yield start, data[start : start + count]
+            continue
+        file.seek(data.offset + start * data.dtype.itemsize)
+        rows = np.fromfile(file, data.dtype, count)
+        if len(rows) < count:
+            raise ValueError("it was cut while it was read")
+        yield start, rows
 
 
 def count_rows(path: Path) -> int:
     """Return the number of Gaussians in a PLY file. Raises ValueError as `_vertices`."""
-    return len(_vertices(path))
+    with _opened(path) as file:
+        return len(_vertices(file))
 
 
-def _vertices(path: Path) -> PlyElement:
-    """Return the rows of a PLY file; those of a binary file are read when they are used.
-
-    Raises ValueError where `path` is not a regular file, or does not hold what its header states: vertices and no more.
-    """
+def _opened(path: Path) -> BinaryIO:
+    """Open a PLY file. Raises ValueError where `path` is not a regular file."""
     if not path.is_file():
         raise ValueError(f"{path.name} is missing or not a regular file")
-    with path.open("rb") as file:
-        try:
-            content = PlyData.read(file)
-        except (MemoryError, OverflowError) as error:
-            raise ValueError("its header states an impossible number of rows") from error
-        except PlyParseError as error:
-            raise ValueError(str(error)) from error
-        if not content.text and file.read(1):
-            raise ValueError("it goes on behind the rows that its header states")
+    return path.open("rb")
+
+
+def _vertices(file: BinaryIO) -> PlyElement:
+    """Return the rows of a PLY file; those of a binary file are read when they are used.
+
+    Raises ValueError for a file that does not hold what its header states: vertices and no more.
+    """
+    try:
+        content = PlyData.read(file)
+    except (MemoryError, OverflowError) as error:
+        raise ValueError("its header states an impossible number of rows") from error
+    except PlyParseError as error:
+        raise ValueError(str(error)) from error
+    if not content.text and file.read(1):
+        raise ValueError("it goes on behind the rows that its header states")
     names = [element.name for element in content]
     if names != ["vertex"]:
         raise ValueError(f"its elements are {', '.join(names) or 'none'}, not vertex alone")

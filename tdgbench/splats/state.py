@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.columns import ALIGNMENT, COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
+from tdgbench.splats.columns import COLORS_AT, LEAST_COLUMNS, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.cpu.scratch import empty_rows, free_buffers
 from tdgbench.splats.gaussians import Gaussians
 
@@ -49,7 +49,7 @@ class TrainingState:
         self.count = count
         self._arrays: StateArrays | None = None  # of the current rows
         like = gaussians.means.detach()
-        shape = (max(count, 1), max(self.columns, ALIGNMENT))
+        shape = (max(count, 1), max(self.columns, LEAST_COLUMNS))
         self._values, self._first, self._second = (_allocate(like, shape, zeros=True) for _ in range(3))
         self._clocks = torch.zeros(shape[0], 2, dtype=torch.int32, device=like.device)
         self.now = 0  # steps of the optimiser so far

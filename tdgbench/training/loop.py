@@ -70,6 +70,7 @@ def train(
     """
     log = log or TrainingLog()
     log.ended = log.ended or not trainer.method.trains
+    keep_prepared(_gaussians(trainer))
     clock = Clock(log)
     try:
         with trainer.pending:
@@ -155,8 +156,11 @@ def _line(log: TrainingLog, step: Step, trainer: Trainer) -> LogLine:
     loss, terms = step.numbers()
     psnr = _psnr(step)
     smoothed = psnr if not log.lines else 0.8 * log.lines[-1].psnr + 0.2 * psnr
-    gaussians = sum(len(model) for model in trainer.gaussians.values())
-    return LogLine(log.iterations, log.seconds, loss, smoothed, gaussians, terms)
+    return LogLine(log.iterations, log.seconds, loss, smoothed, _gaussians(trainer), terms)
+
+
+def _gaussians(trainer: Trainer) -> int:
+    return sum(len(model) for model in trainer.gaussians.values())
 
 
 class Clock:

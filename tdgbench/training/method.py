@@ -60,7 +60,7 @@ class Method:
     name: str = ""  # of its YAML file; `set_up` sets it
     modalities: tuple[str, ...] = ("thermal",)  # the images that it trains on, and renders; `thermal` is scored
     renders_plain_gaussians: bool = True  # of the modality's name, as they are: no hooks, no networks
-    needs_prior: bool = False  # whether `context.priors` has a depth prior per training view
+    needs_prior: bool = False  # whether `context.priors` has a depth prior per training view, for a loss of depth
     trains: bool = True  # False: what it renders was made elsewhere; it is set up and makes no step
 
     def setup(self, context: Context) -> None:

@@ -150,7 +150,7 @@ class SplatModel(Part):
 
     def report(self) -> Report:
         behind = {} if self.background is None else {"background": self.background.tolist()}
-        size = {"gaussians": len(self), "parameters": self.state.values.numel()}
+        size = {"gaussians": len(self), "parameters": len(self) * self.state.columns}
         degrees = {} if self.budget.harmonics is None else {"sh_every": self.budget.sh_every}
         counts = {**size, "cloned": self.work.cloned, "split": self.work.split}
         moved = {"relocated": self.work.relocated} if self.work.relocated else {}

@@ -23,7 +23,8 @@ def compile_kernels(
 ) -> None:
     """Compile the kernels of trainings with these numbers of channels, by steps on a toy scene.
 
-    depth: the loss takes rendered depth. masked: some views have a mask, for which the losses are compiled apart.
+    depth: the loss takes rendered depth, so that its gradient is needed, too. masked: some views have a mask, for which
+    the losses are compiled apart.
     """
     chosen = load_backend(choose_backend(backend, training_device(backend), torch.float32))
     with chosen.compiling(channels, depth):
@@ -53,6 +54,8 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, depth: bool, m
                     loss = loss + min_max(inverse_expected_depth(render.depth, render.transmittance, 1e-3)).mean()
                 loss.backward()
             model.step(iteration)
+        with torch.no_grad():
+            model.render(camera, depth=True)  # as held-out views are
         if budget.growth is not None:
             footprints(sums_of_halves(model.gaussians, backend), Pinhole.of(camera), torch.zeros_like(black), None)
         model.optimizer.flush()

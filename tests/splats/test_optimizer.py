@@ -20,6 +20,20 @@ def torch_groups(state: TrainingState, leaves: Gaussians) -> list[dict]:
     return [{"params": [getattr(leaves, name)], "lr": rate} for name, rate in rates.items()]
 
 
+def test_trailing_columns_of_gradients_may_be_missing():
+    states = [TrainingState(model(1, 2, count=5)) for _ in range(2)]
+    given = step_gradients(states[0], 1, 1.0)
+    given.values[:, 12:] = 0
+    for state, columns in zip(states, (20, 12), strict=True):
+        optimizer = Adam(state, RATES, EXTENT)
+        rows = Gradients(
+            given.spans, given.index, given.values[:, :columns].contiguous(), given.image, [], *[given.index] * 2
+        )
+        optimizer.step(rows, 1)
+        optimizer.flush()
+    assert torch.equal(states[0].values, states[1].values) and torch.equal(states[0].first, states[1].first)
+
+
 @pytest.mark.parametrize("share", [1.0, 0.3, 0.02])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_is_torch_adam(share, channels):

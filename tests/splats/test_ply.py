@@ -48,6 +48,28 @@ def test_a_model_is_read_piece_by_piece(tmp_path, monkeypatch, gray):
         )
 
 
+@pytest.mark.parametrize("shorter", [False, True])
+def test_a_model_that_changes_while_it_is_read(tmp_path, monkeypatch, shorter):
+    """One that is replaced is read as it was; one that is cut is named."""
+    path, given, finite = tmp_path / "model.ply", model(1, 0, count=10), ply._finite
+    save_ply(given, path)
+
+    def change(*args):
+        if shorter:
+            os.truncate(path, path.stat().st_size // 2)
+        else:
+            save_ply(model(1, 0, count=3), path)
+        return finite(*args)
+
+    monkeypatch.setattr(ply, "CHUNK_ROWS", 4)
+    monkeypatch.setattr(ply, "_finite", change)
+    if shorter:
+        with pytest.raises(ValueError, match=r"model\.ply is not a 3DGS model: it was cut while it was read"):
+            load_ply(path)
+    else:
+        assert torch.equal(load_ply(path).means, given.means)
+
+
 def test_columns_are_those_of_3dgs(tmp_path):
     saved = model(3, 3)
     save_ply(saved, tmp_path / "model.ply")

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from tdgbench.splats.cpu.scratch import empty_rows
 from tdgbench.splats.state import REORDER_AT, TrainingState, capacity_for
 from tests.helpers.gaussians import model
 
@@ -24,6 +25,16 @@ def test_holds_the_gaussians_it_was_given(channels, degree):
         assert torch.equal(a, b[order])
     assert state.values.data_ptr() % 64 == 0 and state.values.shape[1] == max(state.columns, 16)
     assert torch.equal(state.bounds[:, 3], held.log_scales.amax(dim=1))
+
+
+@pytest.mark.parametrize("zeros", [False, True])
+def test_rows_may_be_read_a_line_beyond_their_end(zeros):
+    """Registers of the last row are loaded whole."""
+    rows = whole = empty_rows(7, 27, zeros)
+    while whole.base is not None:
+        whole = whole.base
+    assert rows.ctypes.data % 64 == 0 and rows.ctypes.data + rows.nbytes + 64 <= whole.ctypes.data + whole.nbytes
+    assert not zeros or not rows.any()
 
 
 def test_parts_share_memory():

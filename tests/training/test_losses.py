@@ -258,8 +258,9 @@ def test_no_more_is_prepared_than_allowed():
     assert kept.bytes == 0
 
 
-def test_images_are_kept_for_few_gaussians_alone():
-    image, kept = torch.rand(20, 20, 1), losses._PREPARED
+def test_images_are_kept_for_few_gaussians_alone(monkeypatch):
+    image, kept = torch.rand(20, 20, 1), PreparedTargets()
+    monkeypatch.setattr(losses, "_PREPARED", kept)
     for gaussians, is_kept in ((losses.MANY, False), (losses.MANY - 1, True)):
         losses.keep_prepared(gaussians)
         assert (kept.of(image, None) is kept.of(image, None)) == is_kept

@@ -63,12 +63,12 @@ def compiled_alongside(channels: set[int], depth: bool) -> Iterator[None]:
 def compile_last_kernels(kinds: list[str]) -> None:
     """Compile the kernels that a training reaches last, the last ones first: of numbers of channels and `depth`."""
     for colors in sorted((int(kind) for kind in kinds if kind.isdigit()), reverse=True):
-        for depth in (True, False) if "depth" in kinds else (False,):
-            blend_nothing(colors, depth)
+        for depth in (True, False):  # held-out views are rendered with their depth in any case
+            blend_nothing(colors, depth, backward="depth" in kinds or not depth)
 
 
-def blend_nothing(colors: int, depth: bool) -> None:
-    """Run both passes of the blend and the backward projection without pixels and Gaussians."""
+def blend_nothing(colors: int, depth: bool, backward: bool) -> None:
+    """Run the blend, and if asked for its backward pass and that of the projection, without pixels and Gaussians."""
     camera = pack_camera(np.eye(4), np.eye(3), 0, 0, 1.0, 1.0, 0.0)
     settings = Settings(camera, 0, 0, Channels(colors, 0, depth), np.zeros(colors, np.float32), pack_limits(AS_3DGS))
     rows = np.empty((0, padded(COLORS_AT + colors)), np.float32)
@@ -79,7 +79,8 @@ def blend_nothing(colors: int, depth: bool) -> None:
     images, visits = blend_tiles(settings, splats, tiles, np.empty(0, np.uint32))
     projected = Projected(ids, ids, np.empty((0, 2), np.float32))
     done = ForwardPass(images, projected, [], splats, [(0, 0)], tiles, visits, pair_capacity=0, workspace=Workspace())
-    blend_backward(source, settings, done, None, None, None).rows()
+    if backward:
+        blend_backward(source, settings, done, None, None, None).rows()
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ def sort_lists(counter, longest, pairs, depth_keys, out):
         if tile >= starts.shape[0] - 1:
             break
         begin, count = starts[tile], starts[tile + 1] - starts[tile]
-        bits = number(pairs, depth_keys, begin, count, numbers)
+        bits = write_numbers(pairs, depth_keys, begin, count, numbers)
         is_in_spare = False
         if count <= SHORT:
             insert(numbers, count)
@@ -58,7 +58,7 @@ def sort_lists(counter, longest, pairs, depth_keys, out):
 
 
 @kernel(inline=True)
-def number(pairs, depth_keys, begin, count, numbers):
+def write_numbers(pairs, depth_keys, begin, count, numbers):
     """numbers[:count] = depth above the least, and position, of the pairs from `begin` on; returns a depth's bits."""
     least, most = LOWER, U(0)
     for i in range(U(count)):

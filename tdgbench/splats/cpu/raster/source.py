@@ -60,7 +60,8 @@ def source_of_rows(
 ) -> GaussianSource:
     """Return the source of rows (N, columns), by default before activation.
 
-    bounds (N, 4): mean and largest scale (raw: its logarithm), each as of the last update of the bounds.
+    values: a cache line beyond them may be read, see `empty_rows`. bounds (N, 4): mean and largest scale (raw: its
+    logarithm), each as of the last update of the bounds.
     """
     tested = Bounds(bounds.reshape(-1), raw, np.float32(tolerance), np.float32(growth))
     return GaussianSource(len(values), Parameters(values.reshape(-1), values.shape[1], raw), tested, stale)

@@ -134,9 +134,9 @@ def start_lists(counts, starts):
 
 @kernel()
 def fill_lists(first, count, splats, pair_tiles, cursor, pairs):
-    """List the splats [first, first + count) where the cursor (tiles,) of each tile points, in `sort_tiles`' numbers.
+    """List the splats [first, first + count) where the cursor (tiles,) of each tile points.
 
-    splats: Splats; pair_tiles (capacity,) int32; pairs (n,) uint64, written.
+    splats: Splats; pair_tiles (capacity,) int32; pairs (n,) uint64, written as `sort_tiles` takes them.
     """
     spans = splats.pairs
     for i in range(U(first), U(first + count)):
