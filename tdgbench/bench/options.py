@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, cast
 
@@ -87,6 +87,21 @@ def check_method_name(cfg: DictConfig, choice: str | None) -> None:
     name = OmegaConf.select(cfg, "method.name")
     if choice not in (None, name) and name in choices("method"):
         raise OptionError([Problem("method.name", f"is another method; set `name: {choice}` in {choice}.yaml", name)])
+
+
+def check_typed_names(words: Iterable[str]) -> None:
+    """Raise OptionError for typed names of digits and underscores, KEY=VALUE: 2026_11 would be the number 202611.
+
+    >>> check_typed_names(["scene=2026_11"])
+    Traceback (most recent call last):
+    tdgbench.bench.options.OptionError: scene=2026_11: is read as 202611; put it in quotes: "scene='2026_11'"
+    """
+    typed = (word.lstrip("+").partition("=") for word in words)
+    names = [(key, name.strip()) for key, _, values in typed if key in TEXTS for name in values.split(",")]
+    numbers = [(key, name) for key, name in names if re.fullmatch(r"\d+(_\d+)+", name)]
+    if numbers:
+        what = "is read as {}; put it in quotes: \"{}='{}'\""
+        raise OptionError([Problem(k, what.format(n.replace("_", ""), k, n), n) for k, n in numbers])
 
 
 def names_to_text(cfg: DictConfig) -> DictConfig:

@@ -94,6 +94,12 @@ def swept(config: DictConfig) -> dict[str, list[str]]:
     return values
 
 
+def swept_over_nothing(config: DictConfig) -> list[str]:
+    """Return the keys of sweeps over a list without values, as of a glob that matches nothing."""
+    found = [override for override in _overrides(config) if override.is_discrete_sweep()]
+    return [override.key_or_group for override in found if not any(True for _ in override.sweep_iterator())]
+
+
 def number_of_jobs(config: DictConfig) -> int | None:
     """Return the number of jobs of a run or sweep; None if its sweeper decides."""
     return math.prod(len(values) for values in swept(config).values()) or None

@@ -11,8 +11,8 @@ from typing import ClassVar
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from tdgbench.bench.options import OptionError, names_to_text
-from tdgbench.bench.plan import number_of_jobs, swept
+from tdgbench.bench.options import OptionError, check_typed_names, names_to_text
+from tdgbench.bench.plan import number_of_jobs, swept, swept_over_nothing
 from tdgbench.bench.signature import Problem
 from tdgbench.experiments.experiment import check_results_folder, error_message, experiment_of
 from tdgbench.terminal import say
@@ -31,7 +31,9 @@ class ExperimentCallback(Callback):
             experiment = experiment_of(names_to_text(config))
             experiment.check(config)
             experiment.check_typed(config.hydra.overrides.task)
-            if experiment.one_job and number_of_jobs(config) != 1 and "name" not in swept(config):
+            check_typed_names(config.hydra.overrides.task)
+            _check_sweep(config)
+            if experiment.one_job and number_of_jobs(config) != 1:
                 what = "has several values, whose results would replace one another: run each with its own name="
                 raise OptionError([Problem(option, what) for option in swept(config)])
             folder = Path(config.results) / config.name
@@ -46,6 +48,18 @@ class ExperimentCallback(Callback):
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
         _end(config, Path(config.hydra.sweep.dir))
+
+
+def _check_sweep(config: DictConfig) -> None:
+    """Raise OptionError for a sweep over nothing, or over result folders."""
+    problems = [
+        Problem(option, "matches nothing; glob(...) takes names of methods, data sets and other files in conf/")
+        for option in swept_over_nothing(config)
+    ]
+    for option in {"name", "results"} & swept(config).keys():
+        problems.append(Problem(option, "has several values, and a sweep has one folder: run each by itself"))
+    if problems:
+        raise OptionError(problems)
 
 
 def _end(cfg: DictConfig, jobs: Path) -> None:

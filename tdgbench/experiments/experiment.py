@@ -126,6 +126,8 @@ def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
         option = str(error.__cause__.full_key)
         typed = next((word for word in words if word.lstrip("+~").startswith((f"{option}=", f"{option}."))), option)
         return f"{typed}: is no option{option_meant(option)} (`tdgbench --cfg job` shows all)"
+    if isinstance(error, HydraException) and "--multirun" in str(error):
+        return f"several values need -m: tdgbench -m {' '.join(words)}"
     if isinstance(error, HydraException | OmegaConfBaseException):
         cause = error.__cause__
         text = "\n".join(map(str, (error, cause) if isinstance(cause, OmegaConfBaseException) else (error,)))

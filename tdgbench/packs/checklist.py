@@ -35,6 +35,7 @@ def checklist(experiment: Path) -> list[Item]:
     protocols = sorted({record.protocol for record in finished})
     pictures = f"{files_of(THERMAL).renders}/"
     fewer = [r.title for r in finished if sum(n.startswith(pictures) for n in r.hashes) != r.views.get("test", 0)]
+    incomplete = [r.title for folder, r in cells if r in finished and not all((folder / n).is_file() for n in r.hashes)]
     unknown = [r.title for r in finished if not all(r.environment.get(name) for name in OF_A_MACHINE)]
     edited = [r.title for r in finished if not r.environment.get("git") or r.environment["git"]["dirty"]]
     logs = [r.title for folder, r in cells if r in finished and not (folder / "log.csv").exists()]
@@ -42,6 +43,7 @@ def checklist(experiment: Path) -> list[Item]:
         Item("every planned cell is finished", f"{unfinished} of {planned} cells" if unfinished else ""),
         Item(f"{FEWEST_SEEDS} seeds of each cell", _first(few)),
         Item("all test views are there", _first(fewer)),
+        Item("all files of the records are there", _first(incomplete)),
         Item("one protocol", ", ".join(protocols) if len(protocols) != 1 else ""),
         Item("machine and packages are stated", _first(unknown)),
         Item("a commit without changes made it", _first(edited)),

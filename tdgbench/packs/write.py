@@ -83,6 +83,8 @@ def _read(path: Path) -> bytes:
         return stored
     try:
         content = json.loads(stored)
+        if not isinstance(content, dict):
+            raise ValueError("it holds no options")
         if not content.get("failure"):
             return stored
         content["failure"]["traceback"] = ""

@@ -108,8 +108,8 @@ def _of_one_protocol(records: list[Record], problems: list[str]) -> list[Record]
 def _view_problems(folder: Path, record: Record) -> list[str]:
     """Return the problem of a finished cell's views.csv, if it is there but unusable."""
     try:
-        if record.failure is None and (folder / "views.csv").exists():
-            read_views(folder / "views.csv")
+        if record.failure is None and (folder / "views.csv").exists() and not read_views(folder / "views.csv"):
+            raise ValueError("it has no views")
     except ValueError as error:
         return [f"{folder / 'views.csv'} cannot be read: {error}; its scores have no interval ({FILE} has the scores)"]
     return []

@@ -147,6 +147,19 @@ def test_a_sweep_whose_jobs_would_replace_one_another_is_refused(tmp_path, exper
     )
 
 
+@pytest.mark.parametrize(("words", "said"), [
+    (["-m", "name=a,b"], "name: has several values, and a sweep has one folder"),
+    (["-m", "method=glob(x*)"], "method: matches nothing"), (["-m", "scene=glob(*)"], "scene: matches nothing; glob("),
+    (["name=2026_11_27"], "name=2026_11_27: is read as 20261127; put it in quotes: \"name='2026_11_27'\""),
+    (["-m", "scene=orbit,2026_11"], "scene=2026_11: is read as 202611; put it in quotes"),
+    (["seed=0,1"], "several values need -m: tdgbench -m seed=0,1"),
+])  # fmt: skip
+def test_values_that_no_run_has_are_refused(tmp_path, words, said):
+    run = command_here(tmp_path, *words)
+    assert run.returncode == 1 and not (tmp_path / "results").exists()
+    assert run.stderr.startswith(f"error: {said}"), run.stderr
+
+
 def test_options_of_its_own_are_not_refused():
     experiment_of(config("+experiment=thermal_camera")).check_typed(
         ["study.seeds=[1]", "+budget.iterations=3", "~skip.gray", "+camera@study.thermal_cameras.mine=ideal"]

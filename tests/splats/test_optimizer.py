@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,10 +27,7 @@ def test_trailing_columns_of_gradients_may_be_missing():
     given.values[:, 12:] = 0
     for state, columns in zip(states, (20, 12), strict=True):
         optimizer = Adam(state, RATES, EXTENT)
-        rows = Gradients(
-            given.spans, given.index, given.values[:, :columns].contiguous(), given.image, [], *[given.index] * 2
-        )
-        optimizer.step(rows, 1)
+        optimizer.step(replace(given, values=given.values[:, :columns].contiguous()), 1)
         optimizer.flush()
     assert torch.equal(states[0].values, states[1].values) and torch.equal(states[0].first, states[1].first)
 

@@ -127,7 +127,7 @@ def test_a_broken_plan_is_a_problem(experiment, content):
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"view,psnr\nv\n", b"view,psnr\nv,high\n", b"view,psnr\nv,nan\n", b"\xff", b"a\n"]
+    "content", [b"", b"view,psnr\n", b"view,psnr\nv\n", b"view,psnr\nv,high\n", b"view,psnr\nv,nan\n", b"\xff", b"a\n"]
 )
 def test_broken_scores_of_views_leave_their_interval_out(experiment, content):
     (cell_of(experiment, "orbit") / "views.csv").write_bytes(b"view,psnr\nv,20\nw,22\n")

@@ -8,6 +8,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from tdgbench.bench.outcome import SUCCESS, Outcome
+from tdgbench.experiments.experiment import error_message
 from tdgbench.report.page import write_report
 from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
@@ -25,7 +26,8 @@ def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
     try:
         findings = write_all(Path(cfg.results) / cfg.name)
     except Exception as error:  # the summary still has to come
-        problem = f"{type(error).__name__}: {error}"
+        problem = error_message(error)
+    unsuccessful = any(outcome.status not in SUCCESS for outcome in outcomes)
     say(count_outcomes(outcomes))
     for outcome in outcomes:
         if outcome.status == "failed":
@@ -35,8 +37,9 @@ def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
         say(f"{_cells(without_prior.count(message))} without a depth prior: {message}", "failed:")
     show_findings(findings)
     if problem is not None:
-        say(f"cannot write tables and report: {problem}; the cells are complete", "error:")
-    if problem is not None or any(outcome.status not in SUCCESS for outcome in outcomes):
+        complete = "" if unsuccessful else "; the cells are complete"
+        say(f"cannot write tables and report: {problem}{complete}", "error:")
+    if problem is not None or unsuccessful:
         raise SystemExit(1)
 
 
