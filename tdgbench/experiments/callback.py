@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 from tdgbench.bench.options import OptionError, check_typed_names, names_to_text
 from tdgbench.bench.plan import number_of_jobs, swept, swept_over_nothing
 from tdgbench.bench.signature import Problem
-from tdgbench.experiments.experiment import check_results_folder, error_message, experiment_of
+from tdgbench.experiments.experiment import Experiment, check_results_folder, error_message, experiment_of
 from tdgbench.terminal import say
 
 
@@ -32,8 +32,8 @@ class ExperimentCallback(Callback):
             experiment.check(config)
             experiment.check_typed(config.hydra.overrides.task)
             check_typed_names(config.hydra.overrides.task)
-            _check_sweep(config)
-            if experiment.one_job and number_of_jobs(config) != 1:
+            _check_sweep(config, experiment)
+            if experiment.one_job and number_of_jobs(config) != 1 and "name" not in swept(config):
                 what = "has several values, whose results would replace one another: run each with its own name="
                 raise OptionError([Problem(option, what) for option in swept(config)])
             folder = Path(config.results) / config.name
@@ -50,13 +50,13 @@ class ExperimentCallback(Callback):
         _end(config, Path(config.hydra.sweep.dir))
 
 
-def _check_sweep(config: DictConfig) -> None:
-    """Raise OptionError for a sweep over nothing, or over result folders."""
+def _check_sweep(config: DictConfig, experiment: Experiment) -> None:
+    """Raise OptionError for a sweep over nothing, or over result folders where its jobs share one."""
     problems = [
         Problem(option, "matches nothing; glob(...) takes names of methods, data sets and other files in conf/")
         for option in swept_over_nothing(config)
     ]
-    for option in {"name", "results"} & swept(config).keys():
+    for option in set() if experiment.one_job else {"name", "results"} & swept(config).keys():
         problems.append(Problem(option, "has several values, and a sweep has one folder: run each by itself"))
     if problems:
         raise OptionError(problems)

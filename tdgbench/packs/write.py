@@ -84,10 +84,10 @@ def _read(path: Path) -> bytes:
     try:
         content = json.loads(stored)
         if not isinstance(content, dict):
-            raise ValueError("it holds no options")
+            raise ValueError("it is not a JSON object")
         if not content.get("failure"):
             return stored
         content["failure"]["traceback"] = ""
-    except (ValueError, TypeError, AttributeError) as error:
+    except (ValueError, TypeError) as error:
         raise ValueError(f"{path} cannot be packed: it is no record: {error}") from error
     return (json.dumps(content, indent=1, sort_keys=True) + "\n").encode()
