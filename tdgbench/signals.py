@@ -97,6 +97,9 @@ def end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is None:
         return
+    import pycolmap  # noqa: F401 (its import replaces the handlers, see `Interruption.begin`)
+
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
     def watch() -> None:
         while os.getppid() == parent.pid:

@@ -33,9 +33,10 @@ class ExperimentCallback(Callback):
             experiment.check_typed(config.hydra.overrides.task)
             check_typed_names(config.hydra.overrides.task)
             _check_sweep(config, experiment)
-            if experiment.one_job and number_of_jobs(config) != 1 and "name" not in swept(config):
+            folders = len(swept(config).get("name", [""]))
+            if experiment.one_job and number_of_jobs(config) != folders:
                 what = "has several values, whose results would replace one another: run each with its own name="
-                raise OptionError([Problem(option, what) for option in swept(config)])
+                raise OptionError([Problem(option, what) for option in swept(config) if option != "name"])
             folder = Path(config.results) / config.name
             check_results_folder(folder)
             ExperimentCallback.folder = folder
@@ -51,13 +52,14 @@ class ExperimentCallback(Callback):
 
 
 def _check_sweep(config: DictConfig, experiment: Experiment) -> None:
-    """Raise OptionError for a sweep over nothing, or over result folders where its jobs share one."""
+    """Raise OptionError for a sweep over nothing, or options of which it has one: others would look like methods."""
     problems = [
         Problem(option, "matches nothing; glob(...) takes names of methods, data sets and other files in conf/")
         for option in swept_over_nothing(config)
     ]
-    for option in set() if experiment.one_job else {"name", "results"} & swept(config).keys():
-        problems.append(Problem(option, "has several values, and a sweep has one folder: run each by itself"))
+    folders = set() if experiment.one_job else {"name", "results"}
+    for option in (folders | {"overwrite", "retry_failed", "checkpoint"}) & swept(config).keys():
+        problems.append(Problem(option, "has several values, and a sweep has one of it: run each by itself"))
     if problems:
         raise OptionError(problems)
 

@@ -26,7 +26,20 @@ def opened_pack(path: Path) -> Iterator[Path]:
         return
     with TemporaryDirectory(prefix="tdgbench-") as place:
         folder = Path(place) / "pack"
-        yield folder.rename(folder.with_name(unpack(path, folder)[0].experiment))
+        folder = folder.rename(folder.with_name(unpack(path, folder)[0].experiment))
+        with named(path, folder):
+            yield folder
+
+
+@contextmanager
+def named(path: Path, folder: Path) -> Iterator[None]:
+    """Errors name a pack instead of the folder that it was unpacked into."""
+    try:
+        yield
+    except (ValueError, OSError) as error:
+        if str(folder) not in str(error):
+            raise
+        raise ValueError(str(error).replace(str(folder), str(path))) from error
 
 
 def unpack(path: Path, folder: Path) -> tuple[Manifest, str]:

@@ -32,7 +32,7 @@ def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -
     """
     paths = _paths(experiment)
     for name, file in paths.items():
-        found = private_paths(_read(file).decode()) if name.endswith(TEXTS) and not keep_paths else []
+        found = private_paths(_read(file).decode(errors="replace")) if name.endswith(TEXTS) and not keep_paths else []
         if found:
             raise ValueError(
                 f"{file} holds {found[0]!r}, a path of this machine: run the cell again with relative "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,7 +15,8 @@ import numpy as np
 from tdgbench.bench.paths import folder_name
 from tdgbench.bench.plan import Plan, read_plan
 from tdgbench.bench.protocol import protocol_settings
-from tdgbench.packs import manifest, unpack
+from tdgbench.bench.record import Record
+from tdgbench.packs import manifest, named, unpack
 from tdgbench.packs.checklist import Item, checklist
 from tdgbench.packs.manifest import Manifest
 from tdgbench.report.scores import main_scores
@@ -24,6 +26,7 @@ from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import AVERAGE, COLUMNS, HOURS, OVERALL, as_text
 
 AVERAGES = (AVERAGE, OVERALL)
+MEASURED_ON = ("split", "channels", "temperature_range", "views", "masked")  # fields of Record, beside its data
 
 
 @dataclass(frozen=True)
@@ -62,12 +65,24 @@ class Row:
     scene: str
     method: str
     column: str  # the method with its points and overrides
-    seeds: int
+    records: list[Record]
     scores: list[dict[str, Any]]
 
     @property
     def is_average(self) -> bool:
         return self.scene in AVERAGES
+
+    @property
+    def seeds(self) -> int:
+        return len({record.seed for record in self.records})
+
+    @property
+    def measured_on(self) -> set[str]:
+        """What the scores of its cells were measured on, as text."""
+        return {
+            json.dumps([record.data.split("-")[0], *(getattr(record, name) for name in MEASURED_ON)], sort_keys=True)
+            for record in self.records
+        }
 
 
 def scene_page(dataset: str, scene: str) -> str:
@@ -99,7 +114,8 @@ def opened_packs(paths: Sequence[Path]) -> Iterator[list[Pack]]:
             folder = Path(place) / str(number) / "pack"
             content, sha256 = unpack(path, folder)
             folder = folder.rename(folder.with_name(content.experiment))
-            packs[sha256] = _read(path, folder, content, sha256)
+            with named(path, folder):
+                packs[sha256] = _read(path, folder, content, sha256)
         yield sorted(packs.values(), key=lambda pack: (pack.manifest.experiment, pack.sha256))
 
 
@@ -131,9 +147,8 @@ def rows_of(pack: Pack) -> list[Row]:
                 and cell.record.dataset == dataset
                 and scene in (cell.record.scene, AVERAGE)
             ]
-            first, seeds = records[0], len({record.seed for record in records})
-            settings = protocol_settings(first.config)
-            rows.append(Row(pack, protocols[key], settings, dataset, scene, first.method, column, seeds, scores))
+            settings, method = protocol_settings(records[0].config), records[0].method
+            rows.append(Row(pack, protocols[key], settings, dataset, scene, method, column, records, scores))
     return rows
 
 

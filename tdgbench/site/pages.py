@@ -117,9 +117,18 @@ def boards_of(rows: Iterable[Row]) -> list[dict[str, Any]]:
         settings = {name: json.dumps(value) for name, value in group[0].settings.items()}
         boards.append({
             "dataset": dataset, "protocol": protocol, "rows": group, "settings": settings,
-            "plot": plot(averages or group),
+            "plot": plot(averages or group), "mixed": mixed_scenes(group),
         })  # fmt: skip
     return boards
+
+
+def mixed_scenes(rows: Iterable[Row]) -> list[str]:
+    """Return the scenes whose rows are of different images, views or ranges, so that their scores do not compare."""
+    measured: dict[str, set[str]] = {}
+    for row in rows:
+        if not row.is_average:
+            measured.setdefault(row.scene, set()).update(row.measured_on)
+    return sorted(scene for scene, found in measured.items() if len(found) > 1)
 
 
 def reading_of(method: str, packs: Sequence[Pack]) -> str:

@@ -22,6 +22,9 @@ from tdgbench.splats.view import CameraLike, GaussianTensors, Pinhole
 
 T = 2.0  # standard deviation of a colour's mean, and of its change over a radian, × that of a measurement
 AT_ONCE = 8192  # Gaussians in double precision: all of them would take more memory than a training
+ROWS, COLUMNS = torch.triu_indices(4, 4)  # what is kept of a symmetric matrix
+PLACES = torch.zeros(4, 4, dtype=torch.int64)  # in what is kept
+PLACES[ROWS, COLUMNS] = PLACES[COLUMNS, ROWS] = torch.arange(len(ROWS))
 ONE_VIEW = math.exp(-2 * T**2 / (1 + 2 * T**2))  # 0.41: of a Gaussian that one view sees, from the place of that view
 
 
@@ -33,7 +36,7 @@ class Determinacy:
         """gaussians: colours are not used. cameras: of the training views."""
         self.gaussians, self.backend = gaussians, backend
         means = gaussians.means
-        information = torch.eye(4, dtype=means.dtype, device=means.device).repeat(len(means), 1, 1)
+        information = (ROWS == COLUMNS).to(means).repeat(len(means), 1)
         footprints = footprint_sums(gaussians, 1, backend)
         for camera in cameras:
             pinhole = Pinhole.of(camera).to(means)
@@ -41,10 +44,10 @@ class Determinacy:
             for seen in sums[:, 0].nonzero().squeeze(1).split(AT_ONCE):
                 x = _terms(pinhole, means[seen])
                 weighted = sums[seen].clamp(max=1) * x
-                information.index_add_(0, seen, (weighted[:, :, None] * x[:, None, :]).to(information))
+                information.index_add_(0, seen, (weighted[:, ROWS] * x[:, COLUMNS]).to(information))
         for some in information.split(AT_ONCE):
-            some.copy_(torch.linalg.inv(some.double()))
-        self.covariance = information
+            some.copy_(torch.linalg.inv(some.double()[:, PLACES])[:, ROWS, COLUMNS])
+        self.covariance = information  # (N, 10)
 
     @torch.no_grad()
     def of_gaussians(self, camera: Pinhole) -> Tensor:
@@ -52,7 +55,7 @@ class Determinacy:
         leverages = []
         for means, covariance in zip(self.gaussians.means.split(AT_ONCE), self.covariance.split(AT_ONCE), strict=True):
             x = _terms(camera, means)
-            leverages.append(torch.einsum("ni,nij,nj->n", x, covariance.double(), x).to(means))
+            leverages.append(torch.einsum("ni,nij,nj->n", x, covariance.double()[:, PLACES], x).to(means))
         return torch.exp(-torch.cat(leverages))
 
     @torch.no_grad()

@@ -84,7 +84,7 @@ def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -
 
 def with_protocols(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
     """Return the rows with `split` and `protocol` of their cells (`a + b` for an average over both)."""
-    cells = [(method_label(record, with_init=True), record) for record in records]
+    cells = [(method_label(record, with_init=True), record) for record in records if record.failure is None]
 
     @cache
     def joined(name: str, method: str, dataset: str, scene: str) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tdgbench.bench.paths import files_of
+from tdgbench.bench.plan import read_plan
 from tdgbench.bench.record import FILE, no_records, record_files
 from tdgbench.packs import opened_pack
 from tdgbench.scenes.modalities import THERMAL
@@ -43,7 +44,8 @@ def main(arguments: list[str]) -> int:
             continue
         for problem in verified.problems:
             say(one_line(problem), "problem:")
-        unfinished = "" if verified.finished else ", none of them finished"
+        few = verified.finished < verified.cells
+        unfinished = f", {verified.finished or 'none'} of them finished" if few else ""
         n, m = verified.cells, len(verified.problems)
         say(one_line(f"{experiment}: {n} cell{'s' * (n != 1)}{unfinished}, {m} problem{'s' * (m != 1)}"))
         status |= bool(verified.problems) or not verified.finished
@@ -55,7 +57,9 @@ def verify(experiment: Path) -> Verification:
     records, lost = record_files(experiment), _without_record(experiment)
     if not records and not lost:
         raise no_records(experiment)
-    problems, finished = [], 0
+    of_plan, finished = Problems(), 0
+    of_plan.read("its plan", read_plan, experiment)
+    problems = of_plan.all
     for folder in (path.parent for path in records):
         found = Problems()
         cell = found.read(FILE, read_cell, folder)

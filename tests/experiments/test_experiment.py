@@ -148,7 +148,9 @@ def test_a_sweep_whose_jobs_would_replace_one_another_is_refused(tmp_path, exper
 
 
 @pytest.mark.parametrize(("words", "said"), [
-    (["-m", "name=a,b"], "name: has several values, and a sweep has one folder"),
+    (["-m", "+experiment=error_time", "name=a,b", "seed=0,1"], "seed: has several values, whose results would"),
+    (["-m", "name=a,b"], "name: has several values, and a sweep has one of it"),
+    (["-m", "overwrite=always,never"], "overwrite: has several values, and a sweep has one of it"),
     (["-m", "method=glob(x*)"], "method: matches nothing"), (["-m", "scene=glob(*)"], "scene: matches nothing; glob("),
     (["name=2026_11_27"], "name=2026_11_27: is read as 20261127; put it in quotes: \"name='2026_11_27'\""),
     (["-m", "scene=orbit,2026_11"], "scene=2026_11: is read as 202611; put it in quotes"),

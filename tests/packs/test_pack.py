@@ -228,9 +228,9 @@ def test_the_checklist_counts_test_views(small_results, tmp_path):
     record.write_bytes(edited(lambda content: content["hashes"].pop("renders/view000.png"))(record.read_bytes()))
     missing = {item.title: item.missing for item in checklist(copy)}
     assert missing["all test views are there"] == "tdg on synthetic/turntable, colmap, seed 0"
-    assert missing["all files of the records are there"] == ""
-    (copy / CELL / "model.ply").unlink()
-    assert {item.title: item.missing for item in checklist(copy)}["all files of the records are there"] == (
+    assert missing["the files are those of the records"] == ""
+    (copy / CELL / "model.ply").write_bytes(b"ply")
+    assert {item.title: item.missing for item in checklist(copy)}["the files are those of the records"] == (
         "tdg on synthetic/turntable, colmap, seed 0"
     )
 

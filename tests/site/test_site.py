@@ -104,6 +104,15 @@ def test_a_board_states_the_settings_of_its_protocol(tmp_path):
     assert second.startswith("<dd>&#34;zero&#34;</dd>")
 
 
+def test_rows_of_other_images_are_not_compared(tmp_path):
+    packs = []
+    for name, data in (("a", "1f-9"), ("b", "1f"), ("c", "2e")):  # behind the hyphen: files of a depth prior
+        write(tmp_path / name, "tdg" if name == "a" else "msmg", "Truck", data=data)
+        packs.append(pack(tmp_path / name, tmp_path / f"{name}.zip", keep_paths=True)[0])
+    assert "Not comparable" not in (make(tmp_path / "same", *packs[:2]) / "index.html").read_text()
+    assert "Not comparable on Truck" in (make(tmp_path / "mixed", *packs) / "index.html").read_text()
+
+
 def test_published_numbers_and_verdicts_stand_beside(site):
     rows = [row for row in rows_of_index(site) if row[:2] == ["TDg", "Truck"]]
     table = published_main().set_index(["method", "scene", "metric"])["value"]
@@ -175,7 +184,9 @@ def test_refusals(packed, small_results, tmp_path, capsys):
         assert main([str(word) for word in words]) == 1
         assert why in capsys.readouterr().err and not (tmp_path / "x").exists()
     folder = write_record(tmp_path / "failed", record_of(), {"seconds": {"train": 1.0}}).parents[5]
+    (folder / "experiment.json").write_text("[]")
     path, _ = pack(folder)
+    assert main([str(path), str(tmp_path / "x")]) == 1 and f"{path}/experiment.json" in capsys.readouterr().err
     path.write_bytes(path.read_bytes()[:-9])
     assert main([str(path), str(tmp_path / "x")]) == 1 and "is no pack" in capsys.readouterr().err
 

@@ -20,7 +20,7 @@ def spoiled(small_results, tmp_path):
 
 def test_sound_results(small_results, capsys):
     assert verify(small_results) == (4, 3, [])
-    assert main([str(small_results)]) == 0 and "4 cells, 0 problems" in capsys.readouterr().out
+    assert main([str(small_results)]) == 0 and "4 cells, 3 of them finished, 0 problems" in capsys.readouterr().out
 
 
 def only_problem(experiment) -> str:
@@ -107,7 +107,12 @@ def test_folders_without_records_are_named_and_the_others_verified(small_results
     message = "is no pack, or damaged" if folder.is_file() else message
     assert main([str(folder), str(small_results)]) == 1
     out, err = capsys.readouterr()
-    assert message in err and r"[red]\nx" in err and err.count("\n") == 1 and "4 cells, 0 problems" in out
+    assert (
+        message in err
+        and r"[red]\nx" in err
+        and err.count("\n") == 1
+        and "4 cells, 3 of them finished, 0 problems" in out
+    )
 
 
 def test_failed_cells_alone_are_no_success(small_results, tmp_path, capsys):
@@ -115,6 +120,13 @@ def test_failed_cells_alone_are_no_success(small_results, tmp_path, capsys):
     shutil.copytree(small_results / cells, tmp_path / cells)
     assert verify(tmp_path) == (1, 0, [])
     assert main([str(tmp_path)]) == 1 and "1 cell, none of them finished, 0 problems" in capsys.readouterr().out
+
+
+def test_a_plan_that_cannot_be_read(spoiled):
+    experiment, _ = spoiled
+    (experiment / "experiment.json").write_text("[]")
+    (problem,) = verify(experiment).problems
+    assert problem.startswith("its plan cannot be read: ") and "experiment.json is not the plan" in problem
 
 
 def test_a_lost_record_and_a_moved_cell(spoiled):
