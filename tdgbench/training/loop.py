@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.transfer import received
-from tdgbench.training.losses import spare_memory
+from tdgbench.training.losses import keep_prepared
 from tdgbench.training.method import Step
 from tdgbench.training.part import NonFiniteError, Part, Stopping, TrainingError
 from tdgbench.training.trainer import Trainer
@@ -70,7 +70,7 @@ def train(
     """
     log = log or TrainingLog()
     log.ended = log.ended or not trainer.method.trains
-    spare_memory(_gaussians(trainer))
+    keep_prepared(_gaussians(trainer))
     clock = Clock(log)
     try:
         with trainer.pending:
@@ -98,7 +98,7 @@ def train(
                     clock.write_times()
                     line = _line(log, step, trainer)
                     log.lines.append(line)
-                    spare_memory(line.gaussians)
+                    keep_prepared(line.gaussians)
                     if on_log_line is not None:
                         on_log_line(line)
                 if ends_stage:

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from tdgbench.splats.cpu.losses.minmax import inverse_depth, inverse_depth_gradient, normalise, normalise_gradient
 from tdgbench.splats.cpu.losses.photometric import Target, photometric_and_gradient, prepare_target
-from tdgbench.splats.cpu.scratch import free_buffers, return_large_arrays
+from tdgbench.splats.cpu.scratch import free_buffers
 from tdgbench.splats.warp import fuses
 from tdgbench.training import torch_losses
 
@@ -317,8 +317,6 @@ class ValidPixels:
 _PREPARED, _VALID_PIXELS = PreparedTargets(), ValidPixels()
 
 
-def spare_memory(gaussians: int) -> None:
-    """Keep no prepared images beside MANY Gaussians, nor large arrays that are free: either takes some % of a step."""
-    is_large = gaussians >= MANY
-    _PREPARED.limit(0 if is_large else CACHE_BYTES)
-    return_large_arrays(at_once=is_large)
+def keep_prepared(gaussians: int) -> None:
+    """Keep prepared images while there are few Gaussians: with MANY, preparing them takes a hundredth of a step."""
+    _PREPARED.limit(CACHE_BYTES if gaussians < MANY else 0)

@@ -94,9 +94,10 @@ def open_cells(folders: Sequence[Path]) -> dict[str, ViewedCell]:
 
 def open_cell(folder: Path) -> ViewedCell:
     """Read a cell. Raises ValueError, naming the folder, if it is none, has failed, or was changed."""
-    record = read_record(folder)
+    record = None if folder.is_file() else read_record(folder)
     if record is None:
-        state = "holds no record" if folder.is_dir() else "is no folder" if folder.exists() else "is not there"
+        is_no_folder = "is no folder (tdgbench unpack makes one of a pack)" if folder.exists() else "is not there"
+        state = "holds no record" if folder.is_dir() else is_no_folder
         cells = record_files(folder) if folder.is_dir() else []
         example = f", such as {cells[0].parent}" if cells else f", which has a {FILE}"
         raise ValueError(f"{folder} {state}; name the folder of a cell{example}")

@@ -1,5 +1,4 @@
 import json
-import platform
 import subprocess
 import sys
 
@@ -32,34 +31,12 @@ print(json.dumps([quiet.mb, busy.mb]))
 """
 
 
-GAPS = """
-import numpy as np
-from tdgbench.splats.cpu.scratch import return_large_arrays
-from tdgbench.bench import machine
-return_large_arrays(at_once={})
-before = machine._read("VmRSS")
-for _ in range(3):
-    arrays = [np.ones(16 << 20, np.uint8) for _ in range(12)]
-    last = arrays[-1]
-    del arrays
-print(machine._read("VmRSS") - before)
-"""
-
-
 def test_measures_a_peak_and_not_the_one_before():
     run = subprocess.run([sys.executable, "-c", SCRIPT], cwd=ROOT, capture_output=True, text=True, check=True)
     quiet, busy = json.loads(run.stdout)
     if quiet is None:
         pytest.skip("this platform does not report the memory of a process")
     assert busy > quiet + 0.8 * MEGABYTES
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="how glibc keeps free memory")
-@pytest.mark.parametrize("at_once", [True, False])
-def test_free_arrays_below_one_that_stays_are_given_back_where_memory_is_short(at_once):
-    command = [sys.executable, "-c", GAPS.format(at_once)]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    assert (float(run.stdout) < 40) == at_once  # MB
 
 
 def test_scratch_memory_of_the_cell_before_is_given_back():

@@ -262,7 +262,7 @@ def test_images_are_kept_for_few_gaussians_alone(monkeypatch):
     image, kept = torch.rand(20, 20, 1), PreparedTargets()
     monkeypatch.setattr(losses, "_PREPARED", kept)
     for gaussians, is_kept in ((losses.MANY, False), (losses.MANY - 1, True)):
-        losses.spare_memory(gaussians)
+        losses.keep_prepared(gaussians)
         assert (kept.of(image, None) is kept.of(image, None)) == is_kept
 
 

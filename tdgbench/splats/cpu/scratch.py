@@ -10,33 +10,14 @@ import ctypes
 import math
 import os
 from collections import defaultdict
-from collections.abc import Callable
 
 import numpy as np
 
 MAX_FREE = 3  # free buffers of one role that are kept
 HEADROOM = 1.25
 ALIGNMENT = 64  # bytes
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's mallopt
 
 _free: dict[str, list[np.ndarray]] = defaultdict(list)
-
-
-def _c_function(name: str) -> Callable[..., int] | None:
-    """Return a function of glibc; None where there is none."""
-    return getattr(ctypes.CDLL(None), name, None) if os.name == "posix" else None
-
-
-def return_large_arrays(at_once: bool) -> None:
-    """Give memory of arrays from a megabyte on back to the system as soon as they are freed, or let glibc keep it.
-
-    glibc raises the size from which it does so to the largest array that was freed, up to 32 MB. Beside millions of
-    Gaussians that leaves gaps in the heap that nothing fills; beside few, fresh pages would cost a tenth of a step.
-    """
-    mallopt = _c_function("mallopt")
-    if mallopt is not None:
-        mallopt(M_MMAP_THRESHOLD, (1 if at_once else 32) << 20)
-        mallopt(M_TRIM_THRESHOLD, (1 if at_once else 64) << 20)
 
 
 def empty_aligned(shape: tuple[int, ...], dtype: type) -> np.ndarray:
@@ -65,8 +46,8 @@ def _aligned_bytes(size: int, zeros: bool = False) -> np.ndarray:
 def free_buffers() -> None:
     """Free the memory of all free buffers, and give back what C's allocator holds of memory that was freed."""
     _free.clear()
-    trim = _c_function("malloc_trim")
-    if trim is not None:
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if os.name == "posix" else None
+    if trim is not None:  # glibc
         trim(ctypes.c_size_t(0))
 
 
