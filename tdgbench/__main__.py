@@ -21,6 +21,7 @@ def main() -> int:
     0: done. 1: something failed. 2: no such tool. 130 and 143: ended by Ctrl-C and SIGTERM.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy's and SciPy's; on small matrices its threads only wait
+    os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # of joblib, about workers that a signal ended
     gc.disable()  # what is imported stays: looking for garbage takes a fifth of an import's time
     guard_streams()
     wants_traceback = bool(os.environ.get(TRACEBACK))

@@ -71,6 +71,7 @@ def split_names(names: list[str], how: str, shipped: Mapping[str, str]) -> tuple
     train = [name for name in names if name not in chosen]
     if not train or not test:
         raise ValueError(
-            f"split={how} gives {len(train)} training and {len(test)} test views of {len(names)}; both are needed"
+            f"split={how} gives {len(train)} training and {len(test)} test views of the {len(names)} with a "
+            "thermal image and a pose; both are needed"
         )
     return train, test
