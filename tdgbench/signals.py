@@ -92,7 +92,8 @@ def interruptible() -> Iterator[Interruption]:
 def end_with_parent() -> None:
     """Make a worker of a process pool, as joblib's, end with the process that started it, even if that is killed.
 
-    Without it, the worker would train on, and hold the lock of its cell. In other processes this does nothing.
+    Without it, the worker would train on, and hold the lock of its cell. SIGTERM ends it without a stack trace. In
+    other processes this does nothing.
     """
     parent = multiprocessing.parent_process()
     if parent is None:

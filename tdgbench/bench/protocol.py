@@ -14,6 +14,7 @@ from tdgbench.bench.key import flat
 from tdgbench.bench.record import Record
 
 VERSION = 1  # raise it with every change of a metric, a split or a reader that changes a score
+MEASURED_ON = ("split", "channels", "temperature_range", "views", "masked")  # fields of Record, beside its data
 PLACES = ("weights", "download")  # options of LPIPS that say where its weights come from, not which they are
 
 

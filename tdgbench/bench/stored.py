@@ -101,11 +101,14 @@ def hashes_of_content(recorded: dict[str, str]) -> dict[str, str]:
     return {name: value for name, value in recorded.items() if name not in OF_TIMES}
 
 
-def file_problems(folder: Path, recorded: dict[str, str]) -> Iterator[str]:
-    """Yield files that are missing, unknown to the record, changed, or no files; those are never opened."""
+def file_problems(folder: Path, recorded: dict[str, str], others: bool = True) -> Iterator[str]:
+    """Yield files that are missing, unknown to the record, changed, or no files; those are never opened.
+
+    others: whether files that the record does not know are problems.
+    """
     actual = cell_files(folder)
     yield from (f"{name} is missing" for name in sorted(set(recorded) - set(actual)))
-    yield from (f"{name} is not in the record" for name in sorted(set(actual) - set(recorded)))
+    yield from (f"{name} is not in the record" for name in sorted(set(actual) - set(recorded)) if others)
     for name in sorted(set(actual) & set(recorded)):
         try:
             check_regular(actual[name])

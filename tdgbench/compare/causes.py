@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from tdgbench.bench.key import flat
+from tdgbench.bench.protocol import MEASURED_ON
 from tdgbench.bench.record import Record
 from tdgbench.bench.signature import as_typed
 from tdgbench.compare.cells import Pair
@@ -17,7 +18,7 @@ KINDS = {
     TRAINING: "decides what is trained",
     MACHINE: "decides rounding and time",
 }
-OF_PROTOCOL = ("protocol", "data", "split", "channels", "temperature_range", "views", "masked")  # fields of Record
+OF_PROTOCOL = ("protocol", "data", *MEASURED_ON)  # fields of Record
 OF_TRAINING = ("iterations", "backend", "code", "prior", "init_points")
 PROTOCOL_OPTIONS = ("dataset", "metrics")  # groups of the configuration
 ELSEWHERE = ("metrics.lpips.weights",)  # says where weights are, not which they are

@@ -12,7 +12,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
 from tdgbench.bench.options import OptionError, check_typed_names, names_to_text
-from tdgbench.bench.plan import number_of_jobs, swept, swept_over_nothing
+from tdgbench.bench.plan import swept, swept_over_nothing
 from tdgbench.bench.signature import Problem
 from tdgbench.experiments.experiment import Experiment, check_results_folder, error_message, experiment_of
 from tdgbench.terminal import say
@@ -33,10 +33,10 @@ class ExperimentCallback(Callback):
             experiment.check_typed(config.hydra.overrides.task)
             check_typed_names(config.hydra.overrides.task)
             _check_sweep(config, experiment)
-            folders = len(swept(config).get("name", [""]))
-            if experiment.one_job and number_of_jobs(config) != folders:
+            several = [option for option, values in swept(config).items() if option != "name" and len(values) != 1]
+            if experiment.one_job and several:
                 what = "has several values, whose results would replace one another: run each with its own name="
-                raise OptionError([Problem(option, what) for option in swept(config) if option != "name"])
+                raise OptionError([Problem(option, what) for option in several])
             folder = Path(config.results) / config.name
             check_results_folder(folder)
             ExperimentCallback.folder = folder

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.plan import read_plan
 from tdgbench.bench.record import read_each
-from tdgbench.bench.stored import sha256
+from tdgbench.bench.stored import file_problems
 from tdgbench.scenes.modalities import THERMAL
 
 FEWEST_SEEDS = 3  # of which a spread can be stated
@@ -26,7 +26,8 @@ class Item(NamedTuple):
 def checklist(experiment: Path) -> list[Item]:
     """Return the list for a results folder."""
     cells = read_each(experiment)
-    finished = [record for _, record in cells if record.failure is None]
+    done = [(folder, record) for folder, record in cells if record.failure is None]
+    finished = [record for _, record in done]
     seeds = defaultdict(set)
     for record in finished:
         seeds[record.title.replace(f", seed {record.seed}", "")].add(record.seed)
@@ -36,10 +37,10 @@ def checklist(experiment: Path) -> list[Item]:
     protocols = sorted({record.protocol for record in finished})
     pictures = f"{files_of(THERMAL).renders}/"
     fewer = [r.title for r in finished if sum(n.startswith(pictures) for n in r.hashes) != r.views.get("test", 0)]
-    changed = [r.title for folder, r in cells if r in finished and not _as_recorded(folder, r.hashes)]
+    changed = [r.title for folder, r in done if any(file_problems(folder, r.hashes, others=False))]
     unknown = [r.title for r in finished if not all(r.environment.get(name) for name in OF_A_MACHINE)]
     edited = [r.title for r in finished if not r.environment.get("git") or r.environment["git"]["dirty"]]
-    logs = [r.title for folder, r in cells if r in finished and not (folder / "log.csv").exists()]
+    logs = [r.title for folder, r in done if not (folder / "log.csv").exists()]
     return [
         Item("every planned cell is finished", f"{unfinished} of {planned} cells" if unfinished else ""),
         Item(f"{FEWEST_SEEDS} seeds of each cell", _first(few)),
@@ -50,10 +51,6 @@ def checklist(experiment: Path) -> list[Item]:
         Item("a commit without changes made it", _first(edited)),
         Item("a log of each training", _first(logs)),
     ]
-
-
-def _as_recorded(folder: Path, hashes: dict[str, str]) -> bool:
-    return all((folder / name).is_file() and sha256(folder / name) == digest for name, digest in hashes.items())
 
 
 def _first(titles: list[str]) -> str:

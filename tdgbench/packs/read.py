@@ -24,22 +24,23 @@ def opened_pack(path: Path) -> Iterator[Path]:
     if not path.is_file():
         yield path
         return
-    with TemporaryDirectory(prefix="tdgbench-") as place:
-        folder = Path(place) / "pack"
-        folder = folder.rename(folder.with_name(unpack(path, folder)[0].experiment))
-        with named(path, folder):
-            yield folder
+    with unpacked(path) as (folder, *_):
+        yield folder
 
 
 @contextmanager
-def named(path: Path, folder: Path) -> Iterator[None]:
-    """Errors name a pack instead of the folder that it was unpacked into."""
-    try:
-        yield
-    except (ValueError, OSError) as error:
-        if str(folder) not in str(error):
-            raise
-        raise ValueError(str(error).replace(str(folder), str(path))) from error
+def unpacked(path: Path) -> Iterator[tuple[Path, Manifest, str]]:
+    """Yield a pack's results in a temporary folder, its manifest and its hash; errors name the pack, not the folder."""
+    with TemporaryDirectory(prefix="tdgbench-") as place:
+        folder = Path(place) / "pack"
+        content, digest = unpack(path, folder)
+        folder = folder.rename(folder.with_name(content.experiment))
+        try:
+            yield folder, content, digest
+        except (ValueError, OSError) as error:
+            if str(folder) not in str(error):
+                raise
+            raise ValueError(str(error).replace(str(folder), str(path))) from error
 
 
 def unpack(path: Path, folder: Path) -> tuple[Manifest, str]:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from tdgbench.bench.paths import folder_name
 from tdgbench.bench.plan import Plan, read_plan
-from tdgbench.bench.protocol import protocol_settings
+from tdgbench.bench.protocol import MEASURED_ON, protocol_settings
 from tdgbench.bench.record import Record
-from tdgbench.packs import manifest, named, unpack
+from tdgbench.packs import manifest, unpacked
 from tdgbench.packs.checklist import Item, checklist
 from tdgbench.packs.manifest import Manifest
 from tdgbench.report.scores import main_scores
@@ -26,7 +25,6 @@ from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import AVERAGE, COLUMNS, HOURS, OVERALL, as_text
 
 AVERAGES = (AVERAGE, OVERALL)
-MEASURED_ON = ("split", "channels", "temperature_range", "views", "masked")  # fields of Record, beside its data
 
 
 @dataclass(frozen=True)
@@ -106,16 +104,13 @@ def method_page(method: str) -> str:
 @contextmanager
 def opened_packs(paths: Sequence[Path]) -> Iterator[list[Pack]]:
     """Yield packs by name, each once, unpacked into a temporary folder. Raises ValueError for what is no pack."""
-    with TemporaryDirectory(prefix="tdgbench-") as place:
+    with ExitStack() as stack:
         packs: dict[str, Pack] = {}
-        for number, path in enumerate(paths):
+        for path in paths:
             if not path.is_file():
                 raise ValueError(f"{path} is no file; make one of a results folder with tdgbench pack")
-            folder = Path(place) / str(number) / "pack"
-            content, sha256 = unpack(path, folder)
-            folder = folder.rename(folder.with_name(content.experiment))
-            with named(path, folder):
-                packs[sha256] = _read(path, folder, content, sha256)
+            folder, content, sha256 = stack.enter_context(unpacked(path))
+            packs[sha256] = _read(path, folder, content, sha256)
         yield sorted(packs.values(), key=lambda pack: (pack.manifest.experiment, pack.sha256))
 
 
