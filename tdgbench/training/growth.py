@@ -1,14 +1,18 @@
 """Growth of Gaussians whose two halves have significantly different residuals over several views.
 
-Splitting or cloning a Gaussian lets its two halves have different values. That would explain the difference of the
-residuals r in its halves (`Footprints`), summed over views with its sign: D = Σ_views Σ_pixels ±w r, with blending
-weights w. Noise of standard deviation σ in every pixel gives D a standard deviation of at most σ √(Σ w), as w ≤ 1.
-A Gaussian may grow if its strength, the root mean square of D over the channels in units of that, exceeds `z`. Errors
-of single views have different signs and cancel in D. σ is the noise of full-size images; downscaled ones have less, so
-that their test is stricter. The variance of D between views is no help: a model that lacks Gaussians has as much of it
-as noise has.
+Splitting or cloning a Gaussian lets its two halves have different values. That explains the contrast of the residuals r
+in its halves, whose means m differ. With the blending weights w of a half summed to W, a view gives
 
-Where images have little noise, nearly all Gaussians pass. D² / Σ w is by how much two values in the place of one lower
+    D = 2 W₁ W₂ / (W₁ + W₂) (m₁ − m₂), to which noise of standard deviation σ in every pixel adds at most
+    σ √W, W = 4 W₁ W₂ / (W₁ + W₂), as w ≤ 1.
+
+Both are summed over views, D with its sign. A residual that is the same in both halves gives none, also where one is
+hidden or beyond the image's edge: another value of the whole Gaussian explains it, or the drift of a view. A Gaussian
+may grow if its strength, the root mean square of D over the channels in units of σ √W, exceeds `z`. Errors of single
+views have different signs and cancel in D. σ is the noise of full-size images; downscaled ones have less, so that their
+test is stricter. The variance of D between views is no help: a model that lacks Gaussians has as much of it as noise.
+
+Where images have little noise, nearly all Gaussians pass. D² / W is by how much two values in the place of one lower
 the squared error. So those grow, the strongest first, that together make up `share` of what all that pass would gain.
 """
 
@@ -35,6 +39,7 @@ from tdgbench.training.images import Modality
 from tdgbench.training.spectrum import typical_noise
 
 SLACK = 1e-3  # relative, of distances, against rounding
+TINY = 1e-20  # px, below any weight
 FEWEST_VIEWS = 2  # in which a Gaussian must be visible; one view decides nothing
 HALF = 0.6  # σ from a Gaussian's centre to those of its halves along its longest axis
 NARROWER = (1 - HALF**2) ** 0.5  # σ of a half on that axis: both together have the Gaussian's second moment
@@ -135,10 +140,10 @@ def fewest(gains: Tensor, share: float) -> int:
 
 
 class Footprints(NamedTuple):
-    """Sums over the footprints of N Gaussians in one view of C channels, each pixel weighted as in the blend."""
+    """Contrast between the halves of N Gaussians in one view of C channels, each pixel weighted as in the blend."""
 
-    weight: Tensor  # (N,) px
-    difference: Tensor  # (N, C) the residual in one half minus that in the other, signed, image values × px
+    weight: Tensor  # (N,) W, px: that of both halves if these weigh the same, 0 where one is out of sight
+    difference: Tensor  # (N, C) D, signed, image values × px
     visible: Tensor  # (N,) bool
 
 
@@ -155,7 +160,10 @@ def footprints(sum_halves: SumFootprints, camera: Pinhole, residual: Tensor, val
     n = len(sums) // 2
     first, second = sums[:n], sums[n:]
     visible = (radii[:n] > 0) | (radii[n:] > 0)
-    return Footprints(first[:, 0] + second[:, 0], first[:, 1:] - second[:, 1:], visible)
+    one, other = first[:, :1], second[:, :1]
+    both = (one + other).clamp_min(TINY)
+    difference = 2 * (other * first[:, 1:] - one * second[:, 1:]) / both
+    return Footprints((4 * one * other / both).squeeze(1), difference, visible)
 
 
 def sums_of_halves(gaussians: Gaussians, backend: str) -> SumFootprints:

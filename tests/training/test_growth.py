@@ -164,12 +164,10 @@ def seen_in(gaussians: Gaussians, residual, valid=None, backend="cpu"):
 def test_weights_are_those_of_the_blend(backend):
     gaussians = long_and_short()
     seen = seen_in(gaussians, torch.ones(32, 32, 1), backend=backend)
-    for index in range(2):
-        parts = split_in_halves(gaussians)
-        colors = torch.zeros(4, 1)
-        colors[[index, index + 2]] = 1.0
-        image = render_view(parts._replace(colors=colors), Pinhole.of(camera()), backend=backend).image
-        assert seen.weight[index].item() == pytest.approx(image.sum().item(), rel=1e-4)
+    parts = split_in_halves(gaussians)._replace(colors=torch.eye(4))
+    halves = render_view(parts, Pinhole.of(camera()), backend=backend).image.sum(dim=(0, 1))
+    expected = 4 * halves[:2] * halves[2:] / (halves[:2] + halves[2:])
+    assert seen.weight.numpy() == pytest.approx(expected.numpy(), rel=1e-4)
     assert seen.visible.all()
 
 
@@ -199,8 +197,23 @@ def test_masked_pixels_count_nothing():
     residual[:, :16] = float("nan")
     seen = seen_in(long_and_short(), residual, valid)
     whole = seen_in(long_and_short(), torch.ones(32, 32, 1))
-    assert seen.weight[0].item() == pytest.approx(whole.weight[0].item() / 2, rel=1e-3)
-    assert 0.5 * seen.weight[0] < abs(seen.difference[0, 0]) <= seen.weight[0]
+    assert 0 < seen.weight[0] < whole.weight[0] / 2
+
+
+def test_what_both_halves_show_counts_nothing_however_much_of_each_is_seen():
+    """The left half weighs less: only a residual that differs between the halves counts, by their means."""
+    valid = torch.ones(32, 32, dtype=torch.bool)
+    valid[:, :14] = False
+    same, differs = torch.full((2, 32, 32, 1), 0.3)
+    differs[:, 16:] = 0.1
+    of_same, of_differs = (seen_in(long_and_short(), residual, valid) for residual in (same, differs))
+    assert of_same.weight[0] > 1 and abs(of_same.difference[0]) < 1e-5 * of_same.weight[0]
+    parts = split_in_halves(long_and_short())._replace(colors=torch.eye(4))
+    weights = render_view(parts, Pinhole.of(camera())).image[..., [0, 2]] * valid[..., None]
+    first, second = (weights * differs).sum(dim=(0, 1)) / weights.sum(dim=(0, 1))
+    assert (of_differs.difference[0] / of_differs.weight[0]).item() == pytest.approx(
+        (first - second).item() / 2, rel=1e-3
+    )
 
 
 def test_a_gaussian_out_of_sight_says_nothing():
