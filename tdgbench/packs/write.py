@@ -28,8 +28,10 @@ def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -
 
     path: default <experiment>-<hash>.zip beside the folder. Tracebacks of failed cells are left out: they name folders.
     keep_paths: whether other absolute paths may stay. Raises ValueError, naming a file, if one has such a path or is no
-    regular file, and if there are no records.
+    regular file, if the pack's name does not end in .zip, and if there are no records.
     """
+    if path is not None and path.suffix != ".zip":  # what is there is replaced
+        raise ValueError(f"--out {path}: the file's name must end in .zip")
     paths = _paths(experiment)
     for name, file in paths.items():
         found = private_paths(_read(file).decode(errors="replace")) if name.endswith(TEXTS) and not keep_paths else []

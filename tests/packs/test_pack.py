@@ -244,6 +244,9 @@ def test_the_commands(small_results, packed, tmp_path):
     assert "0 problems" in tdgbench_here(tmp_path, "verify", "mine.zip").stdout
     assert tdgbench_here(tmp_path, "compare", "mine.zip", "results/theirs").returncode == 0
     (tmp_path / "none.zip").write_bytes(b"")
+    (tmp_path / "notes.txt").write_text("mine")
+    run = tdgbench_here(tmp_path, "pack", "results/mine", "--keep-paths", "--out", "notes.txt")
+    assert run.returncode == 1 and "must end in .zip" in run.stderr and (tmp_path / "notes.txt").read_text() == "mine"
     for words in (("pack", "results"), ("unpack", "none.zip", "x"), ("verify", "none.zip")):
         run = tdgbench_here(tmp_path, *words)
         assert run.returncode == 1 and f"tdgbench {words[0]}: " in run.stderr
