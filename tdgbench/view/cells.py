@@ -96,9 +96,11 @@ def open_cell(folder: Path) -> ViewedCell:
     """Read a cell. Raises ValueError, naming the folder, if it is none, has failed, or was changed."""
     record = None if folder.is_file() else read_record(folder)
     if record is None:
-        state = "is no folder (tdgbench unpack makes one of a pack)" if folder.exists() else "is not there"
-        state = "holds no record" if folder.is_dir() else state
-        cells = record_files(folder) if folder.is_dir() else []
+        state, cells = "is not there", list[Path]()
+        if folder.is_dir():
+            state, cells = "holds no record", record_files(folder)
+        elif folder.exists():
+            state = "is no folder (tdgbench unpack makes one of a pack)"
         example = f", such as {cells[0].parent}" if cells else f", which has a {FILE}"
         raise ValueError(f"{folder} {state}; name the folder of a cell{example}")
     if record.status != "ok":

@@ -160,14 +160,23 @@ def seen_in(gaussians: Gaussians, residual, valid=None, backend="cpu"):
     return footprints(sums_of_halves(gaussians, backend), Pinhole.of(camera()).to(residual), residual, valid)
 
 
+def weights_of_halves(gaussians: Gaussians, backend="cpu"):
+    """Render the weight of each half in each pixel: (2, 32, 32, N)."""
+    parts = split_in_halves(gaussians)._replace(colors=torch.eye(4))
+    image = render_view(parts, Pinhole.of(camera()), backend=backend).image
+    return torch.stack([image[..., :2], image[..., 2:]])
+
+
+def weight_of(halves):
+    first, second = halves.sum(dim=(1, 2))
+    return pytest.approx((4 * first * second / (first + second)).numpy(), rel=1e-4)
+
+
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 def test_weights_are_those_of_the_blend(backend):
     gaussians = long_and_short()
     seen = seen_in(gaussians, torch.ones(32, 32, 1), backend=backend)
-    parts = split_in_halves(gaussians)._replace(colors=torch.eye(4))
-    halves = render_view(parts, Pinhole.of(camera()), backend=backend).image.sum(dim=(0, 1))
-    expected = 4 * halves[:2] * halves[2:] / (halves[:2] + halves[2:])
-    assert seen.weight.numpy() == pytest.approx(expected.numpy(), rel=1e-4)
+    assert seen.weight.numpy() == weight_of(weights_of_halves(gaussians, backend))
     assert seen.visible.all()
 
 
@@ -195,9 +204,11 @@ def test_masked_pixels_count_nothing():
     valid[:, :16] = False
     residual = torch.ones(32, 32, 1)
     residual[:, :16] = float("nan")
+    residual[:, 24:] = 0.5
     seen = seen_in(long_and_short(), residual, valid)
-    whole = seen_in(long_and_short(), torch.ones(32, 32, 1))
-    assert 0 < seen.weight[0] < whole.weight[0] / 2
+    known = seen_in(long_and_short(), torch.where(valid[..., None], residual, 0.0), valid)
+    assert seen.weight.numpy() == weight_of(weights_of_halves(long_and_short()) * valid[..., None])
+    assert torch.equal(seen.difference, known.difference) and seen.difference[0, 0] != 0
 
 
 def test_what_both_halves_show_counts_nothing_however_much_of_each_is_seen():
@@ -208,12 +219,10 @@ def test_what_both_halves_show_counts_nothing_however_much_of_each_is_seen():
     differs[:, 16:] = 0.1
     of_same, of_differs = (seen_in(long_and_short(), residual, valid) for residual in (same, differs))
     assert of_same.weight[0] > 1 and abs(of_same.difference[0]) < 1e-5 * of_same.weight[0]
-    parts = split_in_halves(long_and_short())._replace(colors=torch.eye(4))
-    weights = render_view(parts, Pinhole.of(camera())).image[..., [0, 2]] * valid[..., None]
-    first, second = (weights * differs).sum(dim=(0, 1)) / weights.sum(dim=(0, 1))
-    assert (of_differs.difference[0] / of_differs.weight[0]).item() == pytest.approx(
-        (first - second).item() / 2, rel=1e-3
-    )
+    weights = weights_of_halves(long_and_short()) * valid[..., None]
+    first, second = ((weights * differs).sum(dim=(1, 2)) / weights.sum(dim=(1, 2)))[:, 0].tolist()
+    contrast = of_differs.difference[0] / of_differs.weight[0]
+    assert contrast.item() == pytest.approx((first - second) / 2, rel=1e-3)
 
 
 def test_a_gaussian_out_of_sight_says_nothing():
