@@ -85,14 +85,16 @@ class Panel:
         self._add_views(gui)
 
     def look(self) -> Look:
-        low, high = self._span.value
+        """Return what the controls say; viser takes any value of theirs from a client."""
+        cell, beside, quantity, colors = map(_choice, (self._cell, self._beside, self._quantity, self._colors))
+        low, high, divide = (min(max(one, 0), 100) for one in (*self._span.value, self._divide.value))
         return Look(
-            cell=self._cell.value,
-            quantity=self._quantities[self._quantity.value],
-            colors=self._colors.value,
+            cell=cell,
+            quantity=self._quantities[quantity],
+            colors=colors,
             span=(low / 100, max(high, low + 1) / 100),
-            beside="" if self._beside.value == ALONE else self._beside.value,
-            divide=self._divide.value / 100,
+            beside="" if beside == ALONE else beside,
+            divide=divide / 100,
             guesses=self._guesses.value,
         )
 
@@ -160,11 +162,16 @@ class Panel:
         @self._view.on_update
         def _(event: viser.GuiEvent) -> None:
             if event.client is not None:  # not set by this program
-                self._on_view(names[self._view.value])
+                self._on_view(names[_choice(self._view)])
 
         @buttons.on_click
         def _(_: viser.GuiEvent) -> None:
             self._on_step(1 if buttons.value == NEXT else -1)
+
+
+def _choice(control: viser.GuiDropdownHandle[str]) -> str:
+    """Return the option that is chosen; the first one if there is none of that name."""
+    return control.value if control.value in control.options else control.options[0]
 
 
 def _fitted(picture: np.ndarray) -> np.ndarray:

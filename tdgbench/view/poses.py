@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 ROOT = "/cameras"
 TEST_COLOR, TRAIN_COLOR = (255, 150, 40), (90, 160, 255)
 THUMBNAIL_WIDTH = 96  # px
+MAX_PIXELS = 2**25  # of a picture; a screen of 7680 × 4320 has fewer
+FOV = (1e-3, np.pi - 1e-3)  # radians; a pinhole's least and most
 SIZE = 0.045  # of the cameras' mean distance from the point that they look at
 
 
@@ -32,16 +34,26 @@ class ViserPose(NamedTuple):
 
 
 def camera_of(pose: ViserPose, width: int, height: int) -> Camera:
-    """Return the pinhole camera of a pose, for an image of width × height px.
+    """Return the pinhole camera of a pose, for an image of width × height px. `FOV` bounds its field of view.
 
     >>> camera = camera_of(ViserPose(np.array([1.0, 0, 0, 0]), np.array([0.0, 0, -2]), np.pi / 2), 40, 20)
     >>> camera.K.diagonal().round(6), camera.project(np.zeros((1, 3)))
     (array([10., 10.,  1.]), (array([[20., 10.]]), array([2.])))
     """
     rotation = Rotation.from_quat(np.roll(pose.wxyz, -1)).as_matrix().T
-    focal = height / 2 / np.tan(pose.fov / 2)
+    focal = height / 2 / np.tan(np.clip(pose.fov, *FOV) / 2)
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     return Camera(K, pose_at(pose.position, rotation), width, height)
+
+
+def picture_size(width: int, height: int, limit: int) -> tuple[int, int]:
+    """Return the size of the picture for a window of width × height px: as large, but no side above the limit.
+
+    >>> picture_size(640, 480, 1280), picture_size(1920, 1080, 1280), picture_size(1, 60_000, 1280)
+    ((640, 480), (1280, 720), (1, 1280))
+    """
+    scale = min(1.0, limit / max(width, height), (MAX_PIXELS / width / height) ** 0.5)
+    return max(1, round(scale * width)), max(1, round(scale * height))
 
 
 def pose_of(camera: Camera, aspect: float) -> ViserPose:

@@ -6,12 +6,15 @@ import contextlib
 import socket
 import threading
 import time
+import warnings
 from collections.abc import Iterator
+from functools import partial
 
 import rich
 import viser
 
 from tdgbench.view.cells import ViewedCell
+from tdgbench.view.guard import guarded_server
 from tdgbench.view.poses import camera_of, thumbnails, up_direction
 from tdgbench.view.renderer import Renderer
 from tdgbench.view.requests import RenderJob, Requests
@@ -37,7 +40,6 @@ class Viewer:
         self._sessions: dict[int, Session] = {}  # by client
         self._turn = threading.Lock()  # of the cells
         self._renderer, self._pace = Renderer(cells), Pace()
-        self._error: Exception | None = None
         self._ended = threading.Event()
         self._worker = threading.Thread(target=self._work, name="viewer", daemon=True)
         self._renderer.prepare()
@@ -49,10 +51,8 @@ class Viewer:
         self._worker.start()
 
     def wait(self, seconds: float | None = None) -> None:
-        """Serve for some seconds or until `close`. Raises an error of the rendering thread."""
+        """Serve for some seconds or until `close`."""
         self._ended.wait(seconds)
-        if self._error is not None:
-            raise self._error
 
     def replace(self, cells: dict[str, ViewedCell]) -> None:
         """Show newer states of the cells, or others of the same names, whose pages begin anew."""
@@ -64,10 +64,8 @@ class Viewer:
             self._shown = self._shown._replace(thumbnails=thumbnails(new))
             self._server.scene.set_up_direction(up_direction(new.cameras.values()))
         for session in list(self._sessions.values()):
-            if new.record.title == old.record.title:
-                session.refresh()
-            else:
-                session.begin(self._shown)
+            is_same = new.record.title == old.record.title
+            session.attempt(session.refresh if is_same else partial(session.begin, self._shown))
 
     def close(self) -> None:
         self._requests.close()
@@ -76,18 +74,19 @@ class Viewer:
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         self._sessions[client.client_id] = Session(client, self._shown, self._requests)
+        if client.client_id not in self._server.get_clients():  # it has left meanwhile
+            self._forget(client)
 
     def _forget(self, client: viser.ClientHandle) -> None:
         self._sessions.pop(client.client_id, None)
         self._requests.forget(client.client_id)
 
     def _work(self) -> None:
-        try:
-            for request in iter(self._requests.next, None):
-                self._render(request)
-        except Exception as error:
-            self._error = error
-            self._ended.set()
+        for request in iter(self._requests.next, None):
+            if request.client in self._server.get_clients():
+                request.wanted.session.attempt(partial(self._render, request))
+            else:
+                self._requests.forget(request.client)
 
     def _render(self, request: RenderJob[Wanted]) -> None:
         wanted, start = request.wanted, time.perf_counter()
@@ -131,12 +130,13 @@ def serving(host: str, port: int | None) -> Iterator[viser.ViserServer]:
     """Run a server of viser that prints nothing. port: None for the first free one from 8080 on.
 
     Raises OSError, naming the address, if it cannot be used: viser would try other ports, and wait forever for a host
-    that is not this machine.
+    that is not this machine. Raises ValueError if this version of viser cannot be guarded.
     """
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)  # pages close at any time
     console = rich.get_console()
     quiet, console.quiet = console.quiet, True
     try:
-        server = viser.ViserServer(host=host, port=free_port(host, port), label="tdgbench", verbose=False)
+        server = guarded_server(host, free_port(host, port))
         try:
             yield server
         finally:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import threading
-from contextlib import ExitStack
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import viser
 
+from tdgbench.text import shortened
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.panel import Panel, readout
-from tdgbench.view.poses import Frustums, ViserPose, focus, pose_of
+from tdgbench.view.poses import Frustums, ViserPose, focus, picture_size, pose_of
 from tdgbench.view.renderer import Look, RenderedLook
 from tdgbench.view.requests import Requests
 
 JPEG_QUALITY = 80  # of coarse pictures; fine ones are PNG
+MAX_CALLS = 8  # of a client at a time, of the 32 that viser runs for all
 STANDS_AT = 1e-3  # distance from a view that counts as none, as a share of that to the focus
 
 
@@ -43,10 +47,11 @@ class Session:
     def __init__(self, client: viser.ClientHandle, shown: Shown, requests: Requests[Wanted]) -> None:
         self.client, self._requests, self._width = client, requests, shown.width
         self._turn = threading.RLock()  # viser calls from several threads at once
+        self._free = threading.Semaphore(MAX_CALLS)
         self._parts = ExitStack()  # what is on the page
-        self.begin(shown)
-        client.camera.on_update(lambda _: self._moved())
-        client.scene.on_click()(lambda event: self.read_at(*event.screen_pos))
+        self.attempt(partial(self.begin, shown))
+        client.camera.on_update(self._callback(lambda _: self._moved()))
+        client.scene.on_click()(self._callback(lambda event: self.read_at(*event.screen_pos)))
 
     def begin(self, shown: Shown) -> None:
         """Show cells, in the place of others, from their first view on."""
@@ -56,15 +61,37 @@ class Session:
             self._focus = focus(self._first.cameras.values())
             self._frame: RenderedLook | None = None
             self._clicked: tuple[float, float] | None = None
-            self.panel = Panel(self.client.gui, shown.cells, self.refresh, self.go_to, self.step)
+            on_look, on_view, on_step = (self._callback(one) for one in (self.refresh, self.go_to, self.step))
+            self.panel = Panel(self.client.gui, shown.cells, on_look, on_view, on_step)
             self._view, self._aspect = self.panel.views[0], 0.0  # the last view that it was sent to, in which window
             self._left = self._view  # the one before
-            self._frustums = Frustums(self.client.scene, self._first, shown.thumbnails, self.go_to)
-            self.panel.cameras.on_update(lambda _: self._frustums.show(self.panel.cameras.value))
+            self._frustums = Frustums(self.client.scene, self._first, shown.thumbnails, on_view)
+            self.panel.cameras.on_update(self._callback(lambda _: self._frustums.show(self.panel.cameras.value)))
             self._parts.callback(self.panel.remove)
             self._parts.callback(self._frustums.root.remove)
             self.go_to(self._view)
             self.refresh()
+
+    def attempt(self, action: Callable[[], object]) -> None:
+        """Do something for this client. An error is shown on its page, and no other client notices."""
+        try:
+            action()
+        except Exception as error:
+            with suppress(Exception), self._turn:  # there may be no panel yet
+                self.panel.show_value(shortened(f"{type(error).__name__}: {error}"))
+
+    def _callback(self, action: Callable[..., None]) -> Callable[..., None]:
+        """Return a callback for viser, whose threads print errors.
+
+        It does nothing while `MAX_CALLS` wait: they will read the same camera and controls.
+        """
+
+        def call(*arguments: object) -> None:
+            if self._free.acquire(blocking=False):
+                self.attempt(partial(action, *arguments))
+                self._free.release()
+
+        return call
 
     def step(self, count: int) -> None:
         """Move the camera that many views on from the last one that it was sent to, in a circle."""
@@ -128,6 +155,5 @@ class Session:
 
     def _wanted(self) -> Wanted:
         camera = self.client.camera
-        width = min(self._width, camera.image_width)
-        height = max(1, round(width * camera.image_height / camera.image_width))
+        width, height = picture_size(camera.image_width, camera.image_height, self._width)
         return Wanted(self, self.panel.look(), ViserPose(camera.wxyz, camera.position, camera.fov), width, height)

@@ -12,7 +12,6 @@ import urllib.request
 import pytest
 
 from tdgbench.bench.stored import hashes
-from tdgbench.view.cells import open_cells
 from tdgbench.view.command import has_screen, main
 from tests.helpers.paths import ROOT
 
@@ -48,22 +47,6 @@ def test_an_address_that_cannot_be_served(tdg_folder, capsys):
     assert f"127.0.0.1:{port} cannot be served: Address already in use" in capsys.readouterr().err
     assert main([str(tdg_folder), "--no-open", "--host", "203.0.113.1"]) == 1  # of nobody (RFC 5737)
     assert "203.0.113.1:8080 cannot be served: " in capsys.readouterr().err
-
-
-def test_an_error_of_the_rendering_ends_the_viewer(tdg_folder, monkeypatch):
-    pytest.importorskip("viser")
-    from tdgbench.view import server
-
-    def broken(*_):
-        raise RuntimeError("no memory")
-
-    monkeypatch.setattr(server.Viewer, "_render", broken)
-    with server.serving("127.0.0.1", 0) as running:
-        viewer = server.Viewer(running, open_cells([tdg_folder]), 320)
-        viewer._requests.changed(1, None)
-        with pytest.raises(RuntimeError, match="no memory"):
-            viewer.wait()
-        viewer.close()
 
 
 def test_ctrl_c_ends_it_in_one_line(tdg_folder, data_root, tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import Camera
-from tdgbench.view.poses import ViserPose, camera_of, focus, pose_of, up_direction
+from tdgbench.view.poses import MAX_PIXELS, ViserPose, camera_of, focus, picture_size, pose_of, up_direction
 
 
 def test_a_camera_survives_the_way_to_a_pose_and_back(small_scene):
@@ -24,6 +24,18 @@ def test_poses_are_those_of_viser():
     to_world = np.linalg.inv(camera_of(ViserPose(wxyz, position, 1.0), 64, 48).world_to_camera)
     pose = transforms.SE3.from_rotation_and_translation(transforms.SO3(wxyz), position)
     assert np.allclose(to_world, pose.as_matrix())
+
+
+@pytest.mark.parametrize("fov", [-1.0, 0, 1e-300, np.pi, 7])
+def test_every_field_of_view_is_one_of_a_pinhole(fov):
+    K = camera_of(ViserPose(np.array([1.0, 0, 0, 0]), np.zeros(3), fov), 64, 48).K
+    assert np.isfinite(K).all() and 1e-3 < K[0, 0] < 1e6
+
+
+def test_pictures_have_no_more_pixels_than_a_large_screen():
+    width, height = picture_size(60_000, 60_000, 8192)
+    assert width == height == round(MAX_PIXELS**0.5)
+    assert picture_size(1080, 1920, 1280) == (720, 1280) and picture_size(60_000, 1, 1280) == (1280, 1)
 
 
 @pytest.mark.parametrize("aspect", [0.5, 4 / 3, 3.0])
