@@ -1,13 +1,93 @@
-"""Write files and folders whole or not at all. Their permissions follow the umask."""
+"""Files: open what others made as data, within limits; write files and folders whole or not at all.
+
+Permissions of what is written follow the umask.
+"""
 
 from __future__ import annotations
 
 import glob
+import hashlib
 import os
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
+
+MB = 2**20
+SYNC_ONCE = 200  # files of a folder from which on the disk is flushed once, and not for each
+KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a FIFO",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def opened(path: Path, most: int | None = None, inside: Path | None = None) -> BufferedReader:
+    """Open a file that others may have made, to read it. Nothing else in tdgbench opens one.
+
+    most: bytes that it may have; None: any number. inside: folder that it must lie in, once links are followed.
+    Raises ValueError, without reading, for what is no regular file, leads elsewhere or is larger, and FileNotFoundError
+    where there is nothing. The message names no file: the caller knows its place.
+    """
+    with _in_words():
+        target = path.resolve()
+        if inside is not None and not target.is_relative_to(inside.resolve()):
+            raise ValueError(f"it leads out of its folder, to {target}")
+        _check_kind(target.stat())  # before it is opened, which may block or change a device
+        file = os.fdopen(os.open(target, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)), "rb")
+    found = os.fstat(file.fileno())  # of what was opened, whatever lies there by now
+    try:
+        _check_kind(found)
+        if most is not None and found.st_size > most:
+            raise ValueError(f"it has {in_mb(found.st_size)}, more than {in_mb(most)}")
+    except ValueError:
+        file.close()
+        raise
+    return file
+
+
+def content_of(path: Path, most: int | None = None, inside: Path | None = None) -> bytes:
+    """Return the bytes of a file. Raises as `opened`."""
+    with opened(path, most, inside) as file, _in_words():
+        return file.read(os.fstat(file.fileno()).st_size)  # and no more, should it grow
+
+
+def sha256_of(path: Path, inside: Path | None = None) -> str:
+    """Return SHA-256 of a file's content, read piece by piece. Raises as `opened`."""
+    with opened(path, inside=inside) as file, _in_words():
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def in_mb(size: int) -> str:
+    """Return a size in words.
+
+    >>> in_mb(3 * MB), in_mb(100)
+    ('3 MB', '100 bytes')
+    """
+    return f"{size / MB:,.0f} MB" if size >= MB else f"{size} bytes"
+
+
+def _check_kind(found: os.stat_result) -> None:
+    kind = stat.S_IFMT(found.st_mode)
+    if kind != stat.S_IFREG:
+        raise ValueError(f"it is {KINDS.get(kind, 'no file')}, not a regular file")
+
+
+@contextmanager
+def _in_words() -> Iterator[None]:
+    """Turn an error of the system into ValueError; what is not there stays FileNotFoundError."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except OSError as error:  # a name that is too long, a folder without permission
+        raise ValueError(f"it cannot be read: {error.strerror or error}") from error
+    except RuntimeError as error:  # pathlib's of links in a circle
+        raise ValueError("it cannot be read: too many levels of symbolic links") from error
 
 
 @contextmanager
@@ -44,10 +124,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         part.mkdir()  # not tempfile.mkdtemp, whose folders are private to the user whatever the umask
         try:
             yield part
-            for place, _, files in os.walk(part):
-                for name in files:
-                    to_disk(Path(place, name))
-                _names_to_disk(Path(place))
+            _whole_to_disk(part)
             put_in_place(part, folder)
         finally:
             shutil.rmtree(part, ignore_errors=True)
@@ -91,6 +168,18 @@ def named_errors(path: Path) -> Iterator[None]:
         if error.filename is None and error.errno is not None:
             error.filename = str(path)
         raise
+
+
+def _whole_to_disk(folder: Path) -> None:
+    """Flush a folder's files and their names to the disk; many of them by one call for the whole system."""
+    places = [(Path(place), files) for place, _, files in os.walk(folder)]
+    if sum(len(files) for _, files in places) > SYNC_ONCE and hasattr(os, "sync"):
+        os.sync()
+        return
+    for place, files in places:
+        for name in files:
+            to_disk(place / name)
+        _names_to_disk(place)
 
 
 def to_disk(path: Path) -> None:

@@ -12,13 +12,14 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt, ValidationError
 
 from tdgbench.bench.key import flat
+from tdgbench.bench.record import LARGEST
 from tdgbench.bench.signature import (
     STRICT,
     UNKNOWN,
     Problem,
     belongs_to,
     choices,
-    not_finite,
+    impossible_numbers,
     option_meant,
     pydantic_problems,
     signature_problems,
@@ -49,7 +50,7 @@ def check_options(cfg: DictConfig) -> None:
     OptionError, which names all problems.
     """
     plain, unresolved = _resolved(OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"]))
-    problems = unresolved or [*_model_problems(plain), *_object_problems(plain, ""), *not_finite(plain, "")]
+    problems = unresolved or [*_model_problems(plain), *_object_problems(plain, ""), *impossible_numbers(plain, "")]
     first: dict[str, Problem] = {}
     for problem in problems:
         name = _typed_name(cfg, problem.option)
@@ -219,7 +220,7 @@ class _Options(_Group):
     name: Annotated[str, AfterValidator(_folder_name)]
     table: Literal["main", "ablation", "readings"]
     scene: Annotated[str, Field(min_length=1)] | None
-    seed: Annotated[int, Field(ge=0, lt=2**63)]
+    seed: Annotated[int, Field(ge=0, le=LARGEST)]
     overwrite: Literal["only-missing", "always", "never"]
     retry_failed: bool
     checkpoint: NonNegativeFloat | None  # seconds

@@ -1,8 +1,8 @@
 """Check options against the signature of what they configure: a class named by `_target_`, or a dataclass of options.
 
 The annotations say what is allowed: `Literal["paper", "reference"]`, `PositiveInt`, `Annotated[float, Field(le=1)]`.
-Types that YAML does not have are not checked. No number may be infinite or NaN. A mistyped option comes with those that
-it may have meant.
+Types that YAML does not have are not checked. No number may be infinite or NaN, no integer have more than 64 bits. A
+mistyped option comes with those that it may have meant.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from omegaconf import OmegaConf
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
+from tdgbench.bench.record import LARGEST
 from tdgbench.resources import conf_folder
 
 SCALARS = (int, float, bool, str, type(None), Any)
@@ -87,12 +88,12 @@ def type_problems(hint: Any, value: Any, name: str) -> list[Problem]:
     ['rig=maybe: must be a valid boolean or auto']
     """
     if not _is_plain(hint):
-        return [*_not_options(hint, value, name), *not_finite(value, name)]
+        return [*_not_options(hint, value, name), *impossible_numbers(value, name)]
     try:
         _adapter(hint).validate_python(value)
     except ValidationError as error:
         return pydantic_problems(error, name)
-    return list(not_finite(value, name))
+    return list(impossible_numbers(value, name))
 
 
 def pydantic_problems(error: ValidationError, name: str) -> list[Problem]:
@@ -107,12 +108,18 @@ def pydantic_problems(error: ValidationError, name: str) -> list[Problem]:
     return list(found.values())
 
 
-def not_finite(value: Any, name: str) -> Iterator[Problem]:
-    """Yield infinite numbers and NaN in a value, its lists and dictionaries included."""
+def impossible_numbers(value: Any, name: str) -> Iterator[Problem]:
+    """Yield numbers in a value, its lists and dictionaries included, that are not finite or have more than 64 bits.
+
+    >>> [str(problem) for problem in impossible_numbers({"steps": [7, 2**63]}, "")]
+    ['steps[1]=9223372036854775808: must be at most 9223372036854775807']
+    """
     if isinstance(value, float) and not math.isfinite(value):
         yield Problem(name, "must be a finite number", value)
+    if isinstance(value, int) and not -LARGEST <= value <= LARGEST:
+        yield Problem(name, f"must be at most {LARGEST}" if value > 0 else f"must be at least {-LARGEST}", value)
     for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
-        yield from not_finite(item, _path(name, (key,)))
+        yield from impossible_numbers(item, _path(name, (key,)))
 
 
 def as_typed(value: Any) -> str:

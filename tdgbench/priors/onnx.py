@@ -8,18 +8,20 @@ resized in the same way to the size of the image.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import PositiveInt
 
+from tdgbench.files import opened
 from tdgbench.priors.prior import DepthPrior, Kind, PriorError, PriorUnavailableError, importing, unavailable
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import resize, with_channels
-from tdgbench.scenes.inputs import hash_of, listed, regular_file
+from tdgbench.scenes.inputs import hash_of, regular_file
 from tdgbench.splats.cpu import pool
 from tdgbench.text import shortened
 
@@ -27,6 +29,7 @@ IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)  # torchvision's, of
 IMAGENET_STD = np.array([0.229, 0.224, 0.225], np.float32)
 QUIET = 4  # onnxruntime's log level for fatal errors alone: others are raised
 NAME_A_FILE = "name a network's file: prior.estimator.model=FILE"
+EXPORT = "export the network again, for example with torch.onnx.export"
 EXPECTED = "it must take an image: one float32 input (1, C, H, W) with C = 1 or 3; export it so"
 
 
@@ -88,28 +91,59 @@ class OnnxPrior:
         return Path(self.model)
 
     def _hash(self) -> str:
-        """Return the hash of the model's file and of its weights beside it (`<model>.data`, `<model>_data`)."""
-        digest = hashlib.sha256()
+        """Return the hash of the model's file and of the files that hold weights of it."""
         with unavailable("onnx", "it has no network", NAME_A_FILE):
-            for path in listed(regular_file(self._path).parent):
-                if path == self._path or path.name.startswith((f"{self._path.name}.data", f"{self._path.name}_data")):
-                    digest.update(path.name.removeprefix(self._path.name).encode() + hash_of(path))
+            digest = hashlib.sha256(hash_of(self._path))
+            for place in weights_of(self._path):
+                digest.update(place.removeprefix(self._path.name).encode() + hash_of(self._path.parent / place))
         return digest.hexdigest()[:16]
 
     @cached_property
     def _network(self) -> OnnxNetwork:
         with unavailable("onnx", "it has no network", NAME_A_FILE):
             path = regular_file(self._path)
+        weights_of(path)  # checks them; not every release of onnxruntime does
         with importing("onnx", "onnx"):
             import onnxruntime
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads, options.inter_op_num_threads = pool.get_threads(), 1
         options.use_deterministic_compute, options.log_severity_level = True, QUIET
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads leave the cores alone
-        remedy = "export the network again, for example with torch.onnx.export"
-        with unavailable("onnx", f"{path} cannot be read as an ONNX model", remedy):
+        with unavailable("onnx", f"{path} cannot be read as an ONNX model", EXPORT):
             session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         return network_of(session, path, self.output)
+
+
+def weights_of(path: Path) -> list[str]:
+    """Return the places, relative to its folder, of the files in which a model has weights; most models have none.
+
+    Raises PriorUnavailableError for a place that leads out of the folder, and for one without a file.
+    """
+    with importing("onnx", "onnx"):
+        import onnx
+    with unavailable("onnx", f"{path} cannot be read as an ONNX model", EXPORT):
+        model = onnx.load(str(path), "protobuf", load_external_data=False)
+    places = sorted(set(_external(model)))
+    for place in places:
+        reason = f"{path} names {shortened(repr(place))} as a file of its weights, which is not in its folder"
+        with unavailable("onnx", reason, EXPORT):
+            if PureWindowsPath(place).anchor:
+                raise ValueError("it must be relative")
+            file, real = path.parent / place, path.resolve().parent  # another folder, if the model's file is a link
+            opened(file, inside=real if file.resolve().is_relative_to(real) else path.parent).close()
+    return places
+
+
+def _external(part: Any) -> Iterator[str]:
+    """Yield the places of external data of all tensors in a message of ONNX, those of subgraphs and functions too."""
+    if part.DESCRIPTOR.name == "TensorProto":
+        if part.data_location == part.EXTERNAL:
+            yield from (entry.value for entry in part.external_data if entry.key == "location")
+        return
+    for field, value in part.ListFields():
+        if field.message_type is not None:
+            for inner in [value] if hasattr(value, "ListFields") else value:
+                yield from _external(inner)
 
 
 class OnnxNetwork(NamedTuple):

@@ -15,10 +15,10 @@ from typing import Literal, Protocol
 import numpy as np
 import torch
 
-from tdgbench.files import whole_file
+from tdgbench.files import opened, whole_file
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import resize
-from tdgbench.scenes.inputs import hash_of, is_hidden, is_there, regular_file
+from tdgbench.scenes.inputs import hash_of, is_hidden, is_there
 from tdgbench.text import one_line, shortened
 
 Kind = Literal["depth", "disparity", "metric"]
@@ -203,12 +203,14 @@ def _read(path: Path, view: View) -> DepthPrior | None:
     The archive holds checksums of its members, so changed bytes are found.
     """
     try:
-        with zipfile.ZipFile(regular_file(path)) as archive:
-            largest = 4 * view.camera.width * view.camera.height + 4096  # bytes; before a header's shape is believed
-            if any(member.file_size > largest for member in archive.infolist()):
-                raise ValueError("it is larger than a prior of its view")
-        with np.load(path, allow_pickle=False) as stored:
-            values, kind = stored["values"], str(stored["kind"])
+        with opened(path) as file:
+            with zipfile.ZipFile(file) as archive:
+                largest = 4 * view.camera.width * view.camera.height + 4096  # before a shape is believed
+                if any(member.file_size > largest for member in archive.infolist()):
+                    raise ValueError("it is larger than a prior of its view")
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as stored:
+                values, kind = stored["values"], str(stored["kind"])
         if values.dtype != np.float32:
             raise ValueError(f"it holds {values.dtype}")
         return DepthPrior(values, kind).check(view)  # type: ignore[arg-type]

@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 from scipy.ndimage import distance_transform_edt
 
+from tdgbench.files import opened
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import decoding, read_bytes, regular_file
 from tdgbench.scenes.temperature import TEMPERATURES, Radiometry
@@ -41,15 +42,18 @@ def opened_image(path: Path, content: bytes | None = None) -> Iterator[Image.Ima
     Errors of decoding inside the context become SceneError, too. Pillow's warnings are silent there: they are of
     metadata, which nothing here reads, and of sizes that are refused. content: of the file, if it has been read.
     """
-    source = regular_file(path) if content is None else io.BytesIO(content)
     remedy = f"copy it again, or export it as {', '.join(FORMATS)}"
-    with decoding(path, "an image", remedy), warnings.catch_warnings():
+    with (
+        decoding(path, "an image", remedy),
+        warnings.catch_warnings(),
+        opened(regular_file(path)) if content is None else io.BytesIO(content) as source,
+    ):
         warnings.filterwarnings("ignore", module=r"PIL\.")
         try:
-            opened = Image.open(source, formats=FORMATS)
+            found = Image.open(source, formats=FORMATS)
         except UnidentifiedImageError:
             raise _not_an_image(path, remedy) from None
-        with opened as image:
+        with found as image:
             if image.width * image.height > MAX_PIXELS:
                 size = f"{image.width}×{image.height}"
                 raise SceneError(f"{path} is {size} px; an image may have {MAX_PIXELS} pixels. Resize it")
@@ -59,7 +63,7 @@ def opened_image(path: Path, content: bytes | None = None) -> Iterator[Image.Ima
 
 def _not_an_image(path: Path, remedy: str) -> SceneError:
     """Return the error of a file whose first bytes are of no known format."""
-    with path.open("rb") as file:
+    with opened(path) as file:
         head = file.read(len(LFS_POINTER))
     if not head:
         return SceneError(f"{path} is empty; copy it again")

@@ -6,7 +6,9 @@ A FIFO, a device or a socket would block or never end; a loop of links or a miss
 from __future__ import annotations
 
 import hashlib
+import io
 import json
+import math
 import os
 import stat
 from collections.abc import Iterator
@@ -16,17 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from tdgbench.files import KINDS, MB, content_of, opened
 from tdgbench.scenes.errors import SceneError
 
+MOST_BYTES = 4096 * MB  # of a file that is read at once; the points of a large survey have some hundred MB
 LONGEST_NAME = 200  # bytes; names of files have 255 at most
 ROWS_OF_AVERAGES = ("Average", "Average (Overall)")  # of tables; no scene has these names
-KINDS = {
-    stat.S_IFDIR: "a folder",
-    stat.S_IFIFO: "a FIFO",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}
 
 
 def regular_file(path: Path) -> Path:
@@ -64,7 +61,7 @@ def listed(folder: Path) -> list[Path]:
 def read_bytes(path: Path) -> bytes:
     """Read a regular file. Raises SceneError."""
     with _in_words(path, "read"):
-        return regular_file(path).read_bytes()
+        return content_of(regular_file(path), MOST_BYTES)
 
 
 def read_json(path: Path) -> Any:
@@ -74,20 +71,28 @@ def read_json(path: Path) -> Any:
 
 def hash_of(path: Path) -> bytes:
     """Return SHA-256 of a regular file. Raises SceneError."""
-    with _in_words(path, "read"), regular_file(path).open("rb") as file:
+    with _in_words(path, "read"), opened(regular_file(path)) as file:
         return hashlib.file_digest(file, "sha256").digest()
 
 
 def read_array(path: Path) -> np.ndarray:
     """Read real numbers from an .npy file. Raises SceneError, before memory is taken for a shape that cannot be."""
     with decoding(path, "an .npy array", "write it with numpy.save"):
-        values = np.load(regular_file(path), mmap_mode="r", allow_pickle=False)
-    if not isinstance(values, np.memmap) or values.dtype.kind not in "fiu":
-        what = str(values.dtype) if isinstance(values, np.ndarray) else type(values).__name__
-        raise SceneError(f"{path} holds {what}; it must hold one array of real numbers")
-    if path.stat().st_size != values.offset + values.nbytes:
-        raise SceneError(f"{path} is longer than its array; it is damaged: write it again with numpy.save")
-    return np.array(values)
+        file = io.BytesIO(read_bytes(path))
+        major, _ = np.lib.format.read_magic(file)
+        read_header = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+        shape, _, kind = read_header(file)
+        if kind.kind not in "fiu":
+            what = "Python objects" if kind.hasobject else kind
+            raise SceneError(f"{path} holds {what}; it must hold one array of real numbers")
+        stated, there = math.prod(shape) * kind.itemsize, len(file.getbuffer()) - file.tell()
+        if stated < there and min(shape, default=0) >= 0:
+            raise SceneError(f"{path} is longer than its array; it is damaged: write it again with numpy.save")
+        if stated != there:
+            raise ValueError(f"its header states {stated} bytes of values, and it has {there}")
+        file.seek(0)
+        values: np.ndarray = np.load(file, allow_pickle=False)
+        return values
 
 
 @contextmanager
@@ -143,10 +148,11 @@ def _in_words(path: Path, what: str) -> Iterator[None]:
     """Turn an error of the system into SceneError: the path cannot be `used`, `listed` or `read`, and why."""
     try:
         yield
-    except OSError as error:
-        reason = error.strerror or str(error)
-        if isinstance(error, FileNotFoundError) and path.is_symlink():
+    except (OSError, ValueError) as error:
+        cause = error.__cause__ if isinstance(error.__cause__, OSError) else error
+        reason = getattr(cause, "strerror", None) or str(error)
+        if isinstance(cause, FileNotFoundError) and path.is_symlink():
             reason = "it links to nothing; replace the link by the file"
-        elif isinstance(error, PermissionError):
+        elif isinstance(cause, PermissionError):
             reason = "no permission to read it; change its permissions"
         raise SceneError(f"{path} cannot be {what}: {reason}") from error

@@ -16,6 +16,8 @@ from tdgbench.text import duration, shortened
 WIDTH, HEIGHT = 480, 260
 LEFT, RIGHT, TOP, BOTTOM = 40, 130, 12, 42  # margins, px; labels are on the right of points
 TICKS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000, 86400)  # s
+MOST_TICKS = 6  # of PSNR
+SHORTEST, LONGEST_TIME, LARGEST = 1e-3, 1e9, 1e300  # s, s, dB; records of others may hold any number: drawn at the ends
 LONGEST = 20  # characters of a label
 TICK_WIDTH, LABEL_HEIGHT = 52, 15  # px
 PSNR, TIME = COLUMNS.index("psnr"), COLUMNS.index(HOURS.name)
@@ -30,9 +32,10 @@ def plot(rows: Sequence[Row]) -> dict[str, Any] | None:
     low = max((tick for tick in TICKS if tick < seconds.min()), default=seconds.min() / 2)
     high = min((tick for tick in TICKS if tick > seconds.max()), default=seconds.max() * 2)
     ends_x = math.log(low), math.log(high)
-    room = max(0.08 * float(np.ptp(psnr)), 0.25)
+    resolved = 1e-4 * float(np.abs(psnr).max())  # what floats and texts of ticks tell apart
+    room = max(0.08 * float(np.ptp(psnr)), 0.25, resolved)
     ends_y = float(psnr.min()) - room, float(psnr.max()) + room
-    step = next(step for step in (0.1, 0.2, 0.5, 1, 2, 5, 10) if (ends_y[1] - ends_y[0]) / step <= 6 or step == 10)
+    step = _step(ends_y[1] - ends_y[0])
     levels = np.arange(math.ceil(ends_y[0] / step), math.floor(ends_y[1] / step) + 1) * step
 
     def x(value: float) -> float:
@@ -52,21 +55,37 @@ def plot(rows: Sequence[Row]) -> dict[str, Any] | None:
         "width": WIDTH, "height": HEIGHT, "left": LEFT, "right": WIDTH - RIGHT, "bottom": HEIGHT - BOTTOM, "top": TOP,
         "points": [
             {"x": place[0], "y": place[1], "label_y": label, "name": shortened(methods.label(row.column), LONGEST),
-             "title": f"{methods.label(row.column)}, {row.pack.name}: {_psnr(row):.2f} dB in {duration(_seconds(row))}"}
+             "title": f"{methods.label(row.column)}, {row.pack.name}: {_text(_psnr(row), 2)} dB in "
+                      f"{duration(_seconds(row))}"}
             for row, place, label in zip(known, places, labels, strict=True)
         ],
         "x_ticks": ticks,
-        "y_ticks": [(y(level), f"{level:.{1 if step < 1 else 0}f}") for level in levels.tolist()],
+        "y_ticks": [(y(level), _text(level, 1 if step < 1 else 0)) for level in levels.tolist()],
     }  # fmt: skip
 
 
+def _step(span: float) -> float:
+    """Return the smallest of 1, 2 and 5 times powers of ten of which a span has at most MOST_TICKS.
+
+    >>> _step(0.6), _step(0.61), _step(18), _step(2e7)
+    (0.1, 0.2, 5.0, 5000000.0)
+    """
+    power = 10.0 ** math.floor(math.log10(span / MOST_TICKS))
+    return next(factor * power for factor in (1, 2, 5, 10, 20) if span / (factor * power) <= MOST_TICKS)
+
+
+def _text(value: float, digits: int) -> str:
+    """Return a number with digits after its point; an impossible one in scientific notation."""
+    return f"{value:.{digits}f}" if abs(value) < 1e6 else f"{value:.6g}"
+
+
 def _psnr(row: Row) -> float:
-    return float(row.scores[PSNR]["sort"])
+    return min(max(float(row.scores[PSNR]["sort"]), -LARGEST), LARGEST)
 
 
 def _seconds(row: Row) -> float:
     hours = row.scores[TIME]["sort"]
-    return 0.0 if hours == "" else 3600 * float(hours)
+    return 0.0 if hours == "" or float(hours) <= 0 else min(max(3600 * float(hours), SHORTEST), LONGEST_TIME)
 
 
 def _apart(heights: Sequence[float]) -> list[float]:

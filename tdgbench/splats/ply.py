@@ -6,6 +6,7 @@ under their names: `sh_rgb_3_0` is the first channel of the fourth coefficient o
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,9 +14,10 @@ from typing import BinaryIO
 
 import numpy as np
 import torch
-from plyfile import PlyData, PlyElement, PlyParseError
+from plyfile import PlyData, PlyElement
 
-from tdgbench.files import whole_file
+from tdgbench.files import opened, whole_file
+from tdgbench.ply import read_ply
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.harmonics import MAX_DEGREE, num_bases
 
@@ -72,25 +74,25 @@ def _column(name: str, at: tuple[int, ...]) -> str:
 def _extra_shapes(names: list[str]) -> dict[str, tuple[int, ...]]:
     """Return the shape of one Gaussian's value of each further field whose columns are all there; ignore the others."""
     found: dict[str, list[tuple[int, ...]]] = {}
-    for match in filter(None, (re.fullmatch(r"(\w*?[^\W_])((?:_\d+){1,2})", name) for name in names)):
+    for match in filter(None, (re.fullmatch(r"(\w*?[^\W_])((?:_(?:0|[1-9]\d{,8})){1,2})", name) for name in names)):
         found.setdefault(match[1], []).append(tuple(int(number) for number in match[2].split("_")[1:]))
     shapes = {}
     for name, places in found.items():
-        shape = tuple(1 + int(axis) for axis in np.max(places, axis=0)) if len({*map(len, places)}) == 1 else ()
-        if sorted(places) == [*np.ndindex(*shape)]:
+        shape = tuple(1 + max(axis) for axis in zip(*places, strict=True)) if len({*map(len, places)}) == 1 else ()
+        if math.prod(shape) == len(places) and sorted(places) == [*np.ndindex(*shape)]:
             shapes[name] = shape
     return shapes
 
 
-def load_ply(path: Path) -> Gaussians:
+def load_ply(path: Path, inside: Path | None = None) -> Gaussians:
     """Read a 3DGS model, piece by piece: a binary file is never in memory as a whole.
 
-    Raises ValueError with the file's name if it is not one: not a regular file, without a column, shorter than its
-    header says, or with numbers that are not finite.
+    inside: folder that it must lie in. Raises ValueError with the file's name if it is not one: not a regular file,
+    elsewhere, without a column, shorter than its header says, or with numbers that are not finite.
     """
     try:
-        with _opened(path) as file:
-            return _read(file, _vertices(file))
+        with opened(path, inside=inside) as file:
+            return _read(file, read_ply(file, only="vertex")["vertex"])
     except Exception as error:
         raise ValueError(f"{path} is not a 3DGS model: {error}") from error
 
@@ -99,11 +101,11 @@ def _read(file: BinaryIO, vertex: PlyElement) -> Gaussians:
     """Read the rows of a model. Raises ValueError as `load_ply`."""
     names = [p.name for p in vertex.properties]
     rest = sum(name.startswith("f_rest_") for name in names) // 3
+    if rest + 1 not in map(num_bases, range(MAX_DEGREE + 1)):
+        raise ValueError(f"{rest} f_rest coefficients per channel are no SH degree from 0 to {MAX_DEGREE}")
     missing = {*_columns(rest)} - {*names, "nx", "ny", "nz"}
     if missing:
         raise ValueError(f"it has no {', '.join(sorted(missing))}")
-    if rest + 1 not in map(num_bases, range(MAX_DEGREE + 1)):
-        raise ValueError(f"{rest} f_rest coefficients per channel are no SH degree from 0 to {MAX_DEGREE}")
     extra = _extra_shapes([name for name in names if name not in _columns(rest)])
     columns = {
         "means": [*"xyz"],
@@ -146,36 +148,10 @@ def _pieces(file: BinaryIO, data: np.ndarray) -> Iterator[tuple[int, np.ndarray]
         yield start, rows
 
 
-def count_rows(path: Path) -> int:
-    """Return the number of Gaussians in a PLY file. Raises ValueError as `_vertices`."""
-    with _opened(path) as file:
-        return len(_vertices(file))
-
-
-def _opened(path: Path) -> BinaryIO:
-    """Open a PLY file. Raises ValueError where `path` is not a regular file."""
-    if not path.is_file():
-        raise ValueError(f"{path.name} is missing or not a regular file")
-    return path.open("rb")
-
-
-def _vertices(file: BinaryIO) -> PlyElement:
-    """Return the rows of a PLY file; those of a binary file are read when they are used.
-
-    Raises ValueError for a file that does not hold what its header states: vertices and no more.
-    """
-    try:
-        content = PlyData.read(file)
-    except (MemoryError, OverflowError) as error:
-        raise ValueError("its header states an impossible number of rows") from error
-    except PlyParseError as error:
-        raise ValueError(str(error)) from error
-    if not content.text and file.read(1):
-        raise ValueError("it goes on behind the rows that its header states")
-    names = [element.name for element in content]
-    if names != ["vertex"]:
-        raise ValueError(f"its elements are {', '.join(names) or 'none'}, not vertex alone")
-    return content["vertex"]
+def count_rows(path: Path, inside: Path | None = None) -> int:
+    """Return the number of Gaussians in a PLY file. Raises as `opened` and `read_ply`."""
+    with opened(path, inside=inside) as file:
+        return len(read_ply(file, only="vertex")["vertex"])
 
 
 def _finite(rows: np.ndarray, names: list[str], first: int) -> torch.Tensor:

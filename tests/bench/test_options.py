@@ -13,6 +13,7 @@ from tests.helpers.paths import ROOT
 
 GROUPS = ("dataset", "init", "prior", "method", "backend", "budget", "metrics", "skip", "thermal_camera")
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf" / "experiment").glob("*.yaml"))
+LARGEST = {"seed": 2**63 - 1, "budget.iterations": 2**63 - 1, "checkpoint": 2**63 - 1, "dataset.loader.views": 1000}
 WRONG = [
     ("data.width=0", "data.width=0: must be at least 1"),
     ("data.channels=2", "data.channels=2: must be auto, 1 or 3"),
@@ -21,7 +22,9 @@ WRONG = [
     ("+colour=red", "colour=red: is no option"),
     ("seed=-1", "seed=-1: must be at least 0"),
     ("seed=abc", "seed=abc: must be a valid integer"),
-    ("seed=9223372036854775808", "seed=9223372036854775808: must be less than 9223372036854775808"),
+    *((f"{name}={2**63}", f"{name}={2**63}: must be at most {most}") for name, most in LARGEST.items()),
+    (f"budget.iterations={10**23}", f"budget.iterations={10**23}: must be at most 9223372036854775807"),
+    ("seed=-12345678901234567890123", "seed=-12345678901234567890123: must be at least 0"),
     ("overwrite=maybe", "overwrite=maybe: must be only-missing, always or never"),
     ("retry_failed=maybe", "retry_failed=maybe: must be a valid boolean"),
     ("checkpoint=-1", "checkpoint=-1: must be at least 0"),

@@ -1,6 +1,8 @@
 """The ONNX adapter: with hand-made networks that average channels, and with a real one."""
 
+import hashlib
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from tests.helpers.paths import SHARED
 from tests.priors.estimators import make
 from tests.priors.onnx_files import UINT8, channel_mean
 
+onnx = pytest.importorskip("onnx", reason="the extra `onnx` is not installed")
 pytest.importorskip("onnxruntime", reason="the extra `onnx` is not installed")
 
 
@@ -105,8 +108,10 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path, small_scene, monkeypatch)
     with pytest.raises(PriorUnavailableError, match=r"no\.onnx cannot be used"):
         make("onnx", model=tmp_path / "no.onnx").identity(small_scene)
     (tmp_path / "good.onnx").write_bytes(channel_mean([1, 3, 8, 8]))
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    refused(r"a package is missing or broken .*\n  pip install -e '.\[onnx\]'", model=tmp_path / "good.onnx")
+    for package in ("onnxruntime", "onnx"):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, package, None)
+            refused(r"a package is missing or broken .*\n  pip install -e '.\[onnx\]'", model=tmp_path / "good.onnx")
 
 
 def test_an_output_that_is_no_map_is_named(network, small_scene):
@@ -114,23 +119,122 @@ def test_an_output_that_is_no_map_is_named(network, small_scene):
         network([1, 3, 36, 48], axis=2).estimate(small_scene, small_scene.train[0])
 
 
-def test_the_identity_follows_the_file_and_the_weights_beside_it(network, small_scene, tmp_path):
+def test_the_identity_follows_the_file(network, small_scene, tmp_path):
     first = network([1, 3, 36, 48])
     before = first.identity(small_scene)
     assert before["model"] == "mean.onnx" and network([1, 3, 36, 48]).identity(small_scene) == before
+    assert (
+        before["files"]
+        == hashlib.sha256(hashlib.sha256((tmp_path / "mean.onnx").read_bytes()).digest()).hexdigest()[:16]
+    )
     assert estimate_all(first, small_scene, tmp_path / "cache")[1] == 8
     other = network([1, 3, 18, 24])
     assert other.identity(small_scene)["files"] != before["files"]
     assert estimate_all(other, small_scene, tmp_path / "cache")[1] == 8
     before = other.identity(small_scene)
-    (tmp_path / "mean.onnx.bak").write_bytes(b"no part of it")
-    (tmp_path / "mean.onnx_cache").mkdir()
+    for name in ("mean.onnx.bak", "mean.onnx.data", "mean.onnx_data"):
+        (tmp_path / name).write_bytes(b"no part of it")
     assert other.identity(small_scene) == before
-    (tmp_path / "mean.onnx.data").write_bytes(b"weights")
-    assert (
-        other.identity(small_scene)["files"]
-        != network([1, 3, 18, 24], name="alone.onnx").identity(small_scene)["files"]
-    )
+
+
+def outside(place: str, name: str = "w") -> "onnx.TensorProto":
+    """A tensor of a factor per channel, whose values are in another file."""
+    return onnx.TensorProto(
+        name=name, data_type=1, dims=[1, 3, 1, 1], data_location=onnx.TensorProto.EXTERNAL,
+        external_data=[onnx.StringStringEntryProto(key="location", value=place)],
+    )  # fmt: skip
+
+
+def scaled(place: str, where: str = "initializer") -> bytes:
+    """A model whose output is the mean over the image's channels, times factors from another file."""
+    make_node, tensor, values = onnx.helper.make_node, onnx.helper.make_tensor_value_info, outside(place)
+    constant = make_node("Constant", [], ["w"], value=values)
+    first, imports, functions = [constant], [onnx.helper.make_opsetid("", 13)], []
+    graph_values: dict[str, list] = {}
+    if where == "initializer":
+        first, graph_values = [], {"initializer": [values]}
+    elif where == "sparse":
+        indices = onnx.helper.make_tensor("i", onnx.TensorProto.INT64, [3], [0, 1, 2])
+        values.dims[:] = [3]
+        sparse = onnx.helper.make_sparse_tensor(values, indices, [1, 3, 1, 1])
+        first, graph_values = [], {"sparse_initializer": [sparse]}
+    elif where == "subgraph":
+        yes = onnx.helper.make_tensor("yes", onnx.TensorProto.BOOL, [], [True])
+        branch = onnx.helper.make_graph([constant], "branch", [], [tensor("w", 1, [1, 3, 1, 1])])
+        first = [
+            make_node("Constant", [], ["c"], value=yes),
+            make_node("If", ["c"], ["w"], then_branch=branch, else_branch=branch),
+        ]
+    elif where == "function":
+        imports.append(onnx.helper.make_opsetid("own", 1))
+        functions = [onnx.helper.make_function("own", "Factors", [], ["w"], [constant], imports[:1])]
+        first = [make_node("Factors", [], ["w"], domain="own")]
+    nodes = [*first, make_node("Mul", ["image", "w"], ["m"]), make_node("ReduceMean", ["m"], ["depth"], axes=[1])]
+    ends = [tensor("image", 1, [1, 3, 36, 48])], [tensor("depth", 1, [1, 1, 36, 48])]
+    graph = onnx.helper.make_graph(nodes, "scaled", *ends, **graph_values)
+    return onnx.helper.make_model(graph, opset_imports=imports, functions=functions, ir_version=9).SerializeToString()
+
+
+def factors(value: float) -> bytes:
+    return np.full(3, value, np.float32).tobytes()
+
+
+@pytest.mark.parametrize("where", ["initializer", "constant", "sparse", "subgraph", "function"])
+def test_the_identity_follows_weights_in_a_file_of_any_name(small_scene, tmp_path, where):
+    (tmp_path / "parts").mkdir()
+    model, weights = tmp_path / "scaled.onnx", tmp_path / "parts" / "weights.bin"
+    model.write_bytes(scaled("parts/weights.bin", where))
+    weights.write_bytes(factors(1))
+    before = make("onnx", model=model).identity(small_scene)
+    assert make("onnx", model=model).identity(small_scene) == before
+    weights.write_bytes(factors(2))
+    assert make("onnx", model=model).identity(small_scene)["files"] != before["files"]
+
+
+def test_changed_weights_give_new_priors(small_scene, tmp_path):
+    model, view = tmp_path / "scaled.onnx", small_scene.train[0]
+    model.write_bytes(scaled("weights.bin"))
+    for factor in (1, 2):
+        (tmp_path / "weights.bin").write_bytes(factors(factor))
+        priors, made = estimate_all(make("onnx", model=model), small_scene, tmp_path / "cache")
+        assert made == 8 and np.allclose(priors[view.name].values, factor * view.thermal.mean(axis=2), atol=1e-6)
+
+
+def test_the_identity_with_weights_beside_the_model_is_that_of_earlier_releases(small_scene, tmp_path):
+    model, weights = tmp_path / "scaled.onnx", tmp_path / "scaled.onnx.data"
+    model.write_bytes(scaled("scaled.onnx.data"))
+    weights.write_bytes(factors(1))
+    hashes = [hashlib.sha256(path.read_bytes()).digest() for path in (model, weights)]
+    expected = hashlib.sha256(hashes[0] + b".data" + hashes[1]).hexdigest()[:16]
+    assert make("onnx", model=model).identity(small_scene)["files"] == expected
+
+
+@pytest.mark.parametrize("place", ["../out.bin", "link.bin", "FOLDER/in.bin", "missing.bin", "parts", "a\0b"])
+def test_weights_that_are_not_in_the_folder_of_the_model_are_named(small_scene, tmp_path, place):
+    folder = tmp_path / "models"
+    (folder / "parts").mkdir(parents=True)
+    for path in (tmp_path / "out.bin", folder / "in.bin"):
+        path.write_bytes(factors(1))
+    (folder / "link.bin").symlink_to("../out.bin")
+    named = place.replace("FOLDER", str(folder))
+    (folder / "scaled.onnx").write_bytes(scaled(named))
+    for act in (prepare, lambda estimator: estimator.identity(small_scene)):
+        with pytest.raises(PriorUnavailableError) as error:
+            act(make("onnx", model=folder / "scaled.onnx"))
+        assert f"scaled.onnx names {named!r} as a file of its weights, which is not in its folder" in str(error.value)
+
+
+def test_a_model_and_its_weights_may_be_links_into_one_folder(small_scene, tmp_path):
+    """As in the cache of the Hugging Face hub."""
+    for name, content in (("model", scaled("weights.bin")), ("weights", factors(1))):
+        for folder in ("blobs", "snapshot"):
+            (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / "blobs" / name).write_bytes(content)
+    (tmp_path / "snapshot" / "scaled.onnx").symlink_to(Path("..", "blobs", "model"))
+    (tmp_path / "snapshot" / "weights.bin").symlink_to(Path("..", "blobs", "weights"))
+    estimator = make("onnx", model=tmp_path / "snapshot" / "scaled.onnx")
+    assert estimator.identity(small_scene)["files"]
+    assert estimator.estimate(small_scene, small_scene.train[0]).values.shape == (36, 48)
 
 
 @pytest.fixture(scope="module")

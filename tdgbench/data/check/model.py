@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pycolmap
+
+from tdgbench.scenes import SceneError
+from tdgbench.scenes.colmap.model import model_files
+from tdgbench.scenes.inputs import read_bytes
 
 FEWEST = 10  # points of a view from which it is judged
 FAR = 0.05  # median error of a wrong view, × diagonal of the image; COLMAP drops what is 4 px off, some 0.005
@@ -16,10 +21,13 @@ def wrong_views(folder: Path) -> list[str]:
 
     Models without 2-D points, and ones that pycolmap does not read, have none. Points may have been removed.
     """
-    try:
-        model = pycolmap.Reconstruction(folder)
-    except (ValueError, RuntimeError, LookupError):
-        return []
+    with TemporaryDirectory(prefix="tdgbench-") as place:
+        try:
+            for path in model_files(folder):  # without frames and rigs, whose counts pycolmap believes
+                Path(place, path.name).write_bytes(read_bytes(path))
+            model = pycolmap.Reconstruction(place)
+        except (SceneError, ValueError, RuntimeError, LookupError):
+            return []
     problems = []
     for image in model.images.values():
         observed = [point for point in image.get_observation_points2D() if point.point3D_id in model.points3D]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -103,7 +104,7 @@ def check_scenes(place: Place, begin: Callable[[str], None]) -> Iterator[SceneCh
             remedy = ""
             if place.is_paper:
                 key = registry.registered(name).dataset
-                remedy = f": tdgbench data get {key} {place.root} (or {registry.PUBLISHED_AT[key]})"
+                remedy = f": tdgbench data get {key} {shlex.quote(str(place.root))} (or {registry.PUBLISHED_AT[key]})"
             check.problems.append(f"not there{remedy}")
         else:
             begin(name)

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import bz2
 import errno
+import gzip
+import io
+import lzma
+import math
+import os
 import re
 import shutil
 import stat
@@ -11,18 +17,24 @@ import zipfile
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import IO, NamedTuple
+from typing import IO, Any, BinaryIO, NamedTuple
 
 from tdgbench.data.get.sources import BadFileError
 from tdgbench.data.progress import amount
+from tdgbench.files import opened
 from tdgbench.text import shortened
 
 ARCHIVE = re.compile("(.+?)[.](zip|tar|tar[.]gz|tgz|tar[.]bz2|tbz2|tar[.]xz|txz)", re.IGNORECASE)
 JUNK = {"__MACOSX", "Thumbs.db", "desktop.ini"}  # what file managers leave in archives
 LARGEST_RATIO = 100.0  # of unpacked to packed bytes; images have 1 to 2, float arrays with filler up to some 20
 HARMLESS = 2**26  # unpacked bytes that are never too many
-# Errors of gzip and bz2; of a jump to before the beginning of a file; of two members with one name.
-_NO_DISK = (None, errno.EINVAL, errno.EEXIST, errno.ENOTDIR)
+MOST_MEMBERS = 200_000  # ten times those of ten scenes with 500 views of four files, more than any data set here has
+LARGEST_INDEX = 2**25  # bytes of a zip archive's list of members, of which MOST_MEMBERS have some 150 each
+PIECE = 2**16  # bytes that are read at once
+SMALL_PIECE = 64  # of bzip2 and LZMA in zip archives: zipfile unpacks it as a whole, and bzip2 has 45 MB in 46 bytes
+_DECODERS: dict[bytes, Callable[[BinaryIO], Any]] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
+# Errors of gzip and bz2; of a jump to before the beginning of a file; of two members with one name; of a long name.
+_NO_DISK = (None, errno.EINVAL, errno.EEXIST, errno.ENOTDIR, errno.ENAMETOOLONG)
 
 
 class RefusedError(ValueError):
@@ -39,14 +51,40 @@ class Member(NamedTuple):
     kind: str
     size: int
     open: Callable[[], IO[bytes] | None]
+    piece: int = PIECE  # bytes to read at once
+
+
+class _Bounded(io.BufferedReader):
+    """A file for readers that believe the sizes in it: it refuses to be read behind `most`, or many bytes at once."""
+
+    def __init__(self, raw: Any, most: float, at_once: int) -> None:
+        super().__init__(raw)
+        self.most, self.at_once, self.last = most, at_once, b""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is None or size == -1:
+            size = self.at_once  # zipfile reads the last bytes of an archive so
+        if size > self.at_once:
+            raise RefusedError(f"a header in it states a size of more than {amount(self.at_once)}")
+        self._check(self.tell())
+        self.last = super().read(size)
+        return self.last
+
+    def seek(self, target: int, whence: int = os.SEEK_SET, /) -> int:
+        self._check(target)
+        return super().seek(target, whence)
+
+    def _check(self, place: int) -> None:
+        if place > self.most:
+            raise RefusedError(f"it has more than {amount(int(self.most))}, headers included")
 
 
 def unpack(archive: Path, folder: Path) -> list[PurePosixPath]:
     """Unpack an archive into a folder; return the paths of its files, without hidden files and file managers' ones.
 
     The first bytes tell the kind of archive, not its name. Raises BadFileError for a damaged archive, for links,
-    devices and encrypted members, for names that lead elsewhere, and for more than 100 times the archive's bytes, as
-    soon as the members declare them. Raises OSError for a full disk.
+    devices and encrypted members, for names that lead elsewhere, for too many members, and for more than 100 times the
+    archive's bytes, as soon as the members declare them. Raises OSError for a full disk.
     """
     try:
         return list(_unpack(archive, folder))
@@ -95,41 +133,57 @@ def is_junk(path: PurePosixPath) -> bool:
 
 
 def _unpack(archive: Path, folder: Path) -> Iterator[PurePosixPath]:
-    with archive.open("rb") as file:
-        is_zip = file.read(2) == b"PK"
-    packed, total = archive.stat().st_size, 0
-    most = max(LARGEST_RATIO * packed, HARMLESS)
-    for member in (_zip_members if is_zip else _tar_members)(archive):
-        total += member.size
-        if total > most:
-            raise RefusedError(f"of {amount(packed)}, it would unpack to more than {amount(int(most))}")
-        if member.kind not in ("file", "folder"):
-            raise RefusedError(f"its member {member.name!r} is {member.kind}")
-        path = safe_path(member.name)
-        if member.kind == "folder" or not path.parts or is_junk(path):
-            continue
-        (folder / path).parent.mkdir(parents=True, exist_ok=True)
-        content = member.open()
-        assert content is not None  # a regular file of a tar archive has content
-        with content, (folder / path).open("xb") as out:
-            shutil.copyfileobj(content, out)
-        yield path
+    with opened(archive) as file:
+        start, packed, total = file.read(6), file.seek(0, os.SEEK_END), 0
+        most = max(LARGEST_RATIO * packed, HARMLESS)
+        file.seek(0)
+        members = _zip_members(file) if start.startswith(b"PK") else _tar_members(file, start, most)
+        for count, member in enumerate(members, start=1):
+            total += member.size
+            if total > most:
+                raise RefusedError(f"of {amount(packed)}, it would unpack to more than {amount(int(most))}")
+            if count > MOST_MEMBERS:
+                raise RefusedError(f"it has more than {MOST_MEMBERS} members")
+            if member.kind not in ("file", "folder"):
+                raise RefusedError(f"its member {member.name!r} is {member.kind}")
+            path = safe_path(member.name)
+            if member.kind == "folder" or not path.parts or is_junk(path):
+                continue
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            content = member.open()
+            assert content is not None  # a regular file of a tar archive has content
+            with content, (folder / path).open("xb") as out:
+                shutil.copyfileobj(content, out, member.piece)  # no more than declared: the readers see to it
+            yield path
 
 
-def _zip_members(path: Path) -> Iterator[Member]:
-    with zipfile.ZipFile(path, metadata_encoding="utf-8") as archive:  # many programs do not flag UTF-8 in names
+def _zip_members(file: BinaryIO) -> Iterator[Member]:
+    bounded = _Bounded(file, math.inf, LARGEST_INDEX)
+    with zipfile.ZipFile(bounded, metadata_encoding="utf-8") as archive:  # many programs do not flag UTF-8 in names
         for info in archive.infolist():
-            yield Member(info.filename, _zip_kind(info), info.file_size, partial(archive.open, info))
+            piece = SMALL_PIECE if info.compress_type in (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA) else PIECE
+            opening = partial(_zip_open, archive, info, piece)
+            yield Member(info.filename, _zip_kind(info), info.file_size, opening, piece)
 
 
-def _tar_members(path: Path) -> Iterator[Member]:
-    with tarfile.open(path, encoding="utf-8") as archive:
+def _zip_open(archive: zipfile.ZipFile, info: zipfile.ZipInfo, piece: int) -> IO[bytes]:
+    content = archive.open(info)
+    content.MIN_READ_SIZE = min(piece, content.MIN_READ_SIZE)  # type: ignore[attr-defined]
+    return content
+
+
+def _tar_members(file: BinaryIO, start: bytes, most: float) -> Iterator[Member]:
+    decoder = next((decoder for magic, decoder in _DECODERS.items() if start.startswith(magic)), None)
+    stream = _Bounded(decoder(file) if decoder else file, 2 * most, PIECE)  # twice, for headers and filling
+    with tarfile.open(fileobj=stream, mode="r:", encoding="utf-8") as archive:
         for info in archive:
             kind = "folder" if info.isdir() else "file" if info.isreg() else "a special file"
             kind = "a link" if info.issym() or info.islnk() else kind
+            kind = "of negative size" if info.size < 0 else kind
             yield Member(info.name, kind, info.size, partial(archive.extractfile, info))
-        assert archive.fileobj is not None
-        while archive.fileobj.read(2**20):  # to the end, where the sum of the compressed data is
+        if stream.last.strip(b"\0") or not stream.last:
+            raise ValueError("it ends early, or the header of a member is damaged")
+        while stream.read(PIECE):  # to the end, where the sum of the compressed data is
             pass
 
 

@@ -24,7 +24,7 @@ from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.run_cell import run_cell
 from tdgbench.experiments.experiment import Experiment, error_message
 from tdgbench.experiments.sweep.plan import plan_sweep
-from tdgbench.files import write_text
+from tdgbench.files import content_of, write_text
 from tdgbench.splats.cpu import pool
 from tdgbench.terminal import console, say
 from tdgbench.text import duration
@@ -156,6 +156,6 @@ def numbered_outcomes(hydra_folder: Path) -> dict[int, Outcome]:
 
 def _read(path: Path) -> Outcome:
     try:
-        return _SCHEMA.validate_json(path.read_bytes())
+        return _SCHEMA.validate_json(content_of(path))
     except (OSError, ValueError) as error:
         return Outcome("failed", f"job {path.parent.name}", f"{path} is no outcome: {str(error).splitlines()[0]}")

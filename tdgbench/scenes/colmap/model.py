@@ -45,14 +45,19 @@ class ReadModel(NamedTuple):
     points: PointCloud | None
 
 
-def read_model(folder: Path) -> ReadModel:
-    """Read and check a model, binary or text. Raises SceneError naming the file and the remedy."""
+def model_files(folder: Path) -> list[Path]:
+    """Return the files of a model that are read: cameras, images, points. Raises SceneError where one is missing."""
     lacking = {s: [name + s for name in NEEDED if not is_there(folder / (name + s))] for s in FORMATS}
     suffix = min(FORMATS, key=lambda s: len(lacking[s]))
     if lacking[suffix]:
         raise SceneError(f"{folder} is not a COLMAP model: it has no {', '.join(lacking[suffix])}; {REMEDY}")
-    reader = FORMATS[suffix]
-    cameras_file, images_file, points_file = (folder / (name + suffix) for name in NEEDED)
+    return [folder / (name + suffix) for name in NEEDED]
+
+
+def read_model(folder: Path) -> ReadModel:
+    """Read and check a model, binary or text. Raises SceneError naming the file and the remedy."""
+    cameras_file, images_file, points_file = model_files(folder)
+    reader = FORMATS[cameras_file.suffix]
     rows = reader.read_cameras(cameras_file)
     cameras = {row.id: to_pinhole(row, f"{cameras_file}: camera {row.id}") for row in rows}
     if len(cameras) < len(rows):

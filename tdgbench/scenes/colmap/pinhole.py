@@ -16,6 +16,7 @@ from tdgbench.scenes.validate import check_intrinsics, check_size
 
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 MIN_SANE = 0.9  # share of a pinhole's pixels that must lie inside the distorted image, and in the same order
+LARGEST_ID = 2**32 - 1  # of a camera, which COLMAP keeps for none
 BLOCK = 1 << 20  # pixels that are mapped at a time
 
 
@@ -85,6 +86,8 @@ def to_pinhole(entry: CameraEntry, where: str) -> tuple[Camera, Undistortion | N
     if not np.isfinite(entry.params).all():
         raise SceneError(f"{where} has parameters that are not finite. Correct the model")
     check_size(entry.width, entry.height, where)
+    if not 0 <= entry.id < LARGEST_ID:
+        raise SceneError(f"{where} has an id that is not from 0 to {LARGEST_ID - 1}. Correct the model")
     source = pycolmap.Camera(
         model=entry.model, width=entry.width, height=entry.height, params=list(entry.params), camera_id=entry.id
     )

@@ -8,15 +8,14 @@ right, y up, z backward). Intrinsics are COLMAP's: pixel centres are at integers
 from __future__ import annotations
 
 import io
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal, TypeVar
 
 import numpy as np
-from plyfile import PlyData
 from pydantic import BaseModel, Field, FiniteFloat, PlainValidator, ValidationError
 
+from tdgbench.ply import read_ply
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.colmap.pinhole import to_pinhole
 from tdgbench.scenes.colmap.tables import CameraEntry
@@ -31,8 +30,6 @@ FISHEYE = "OPENCV_FISHEYE"
 SPLITS = ("train", "val", "test")
 CameraModel = Literal["PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"]
 M = TypeVar("M", bound=BaseModel)
-HEADER_SIZE = 2**16  # bytes that hold it
-SMALLEST_ROW = 6  # bytes of a point: three digits and the spaces between them
 REMEDY = "copy or download it again, or remove it and use init=random"
 CLEARLY_MORE = 0.02  # of the points, that are in some image in one world and in none in the other
 
@@ -170,12 +167,7 @@ def _camera_entry(camera: _Intrinsics, where: str) -> CameraEntry:
 def read_points(path: Path) -> PointCloud:
     """Read vertices of a PLY file with x, y, z and, where it has them, red, green, blue. Raises SceneError."""
     with decoding(path, "a point cloud", REMEDY):
-        data = read_bytes(path)
-        counts = re.findall(rb"\nelement \w+ (\d{1,18})\s", data[:HEADER_SIZE].partition(b"end_header")[0])
-        if not counts or sum(map(int, counts)) * SMALLEST_ROW > len(data):
-            raise ValueError("its header states no vertices, or more than the file has bytes for")
-        content = PlyData.read(io.BytesIO(data))
-        vertex = content["vertex"]
+        vertex = read_ply(io.BytesIO(read_bytes(path)))["vertex"]
         xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=-1)
         names = {prop.name for prop in vertex.properties}
         colors = np.full(xyz.shape, 0.5, np.float32)

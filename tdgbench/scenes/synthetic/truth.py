@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tdgbench.files import opened
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import decoding, is_there, read_json, regular_file
 from tdgbench.scenes.synthetic.capture import TrueCamera, TrueRig
@@ -42,7 +43,7 @@ def write_truth(scene: Path, truth: CameraTruth) -> None:
 def read_truth(scene: Path) -> CameraTruth:
     """Read the true camera from a synthetic scene's folder. Raises SceneError if it has none, or a damaged file."""
     path = _stated(scene, CAMERA)
-    with decoding(path, "a true camera", REMEDY), np.load(path, allow_pickle=False) as file:
+    with decoding(path, "a true camera", REMEDY), opened(path) as content, np.load(content, allow_pickle=False) as file:
         stored = dict(file)
         names = stored.pop("names").tolist()
         return CameraTruth(names, TrueCamera(reference=float(stored.pop("reference")), **stored))

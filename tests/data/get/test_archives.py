@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import io
+import resource
 import stat
 import tarfile
 import tempfile
 import zipfile
+import zlib
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -35,11 +40,19 @@ def unpacked(path: Path, content: bytes) -> dict[str, bytes]:
     return {str(file): (folder / file).read_bytes() for file in unpack(path, folder)}
 
 
-@pytest.mark.parametrize(
-    "compression", ["", "gz", "bz2", "xz", None], ids=["tar", "tar.gz", "tar.bz2", "tar.xz", "zip"]
-)
-def test_archives_of_all_kinds(tmp_path, compression):
-    assert unpacked(tmp_path / "a", zipped(FILES) if compression is None else tarred(FILES, compression)) == FILES
+KINDS = {
+    **{f"tar.{name}" if name else "tar": partial(tarred, compression=name) for name in ("", "gz", "bz2", "xz")},
+    "zip": zipped,
+    "zip, deflated": partial(zipped, compression=zipfile.ZIP_DEFLATED),
+    "zip, bzip2": partial(zipped, compression=zipfile.ZIP_BZIP2),
+    "zip, LZMA": partial(zipped, compression=zipfile.ZIP_LZMA),
+}
+WITH_SUMS = [kind for kind in KINDS if kind != "tar"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_archives_of_all_kinds(tmp_path, kind):
+    assert unpacked(tmp_path / "a", KINDS[kind](FILES)) == FILES
 
 
 def test_folders(tmp_path):
@@ -51,27 +64,33 @@ def test_folders(tmp_path):
     assert unpacked(tmp_path / "a.tar", out.getvalue()) == unpacked(tmp_path / "a.zip", zipped({"lion/": b""})) == {}
 
 
-@pytest.mark.parametrize("where", [0.1, 0.5, 0.9, 0.999])
-@pytest.mark.parametrize(
-    "pack", [zipped, tarred, lambda files: tarred(files, "xz"), lambda files: tarred(files, "bz2")]
-)
-def test_archives_that_end_early(tmp_path, pack, where):
-    content = pack(FILES)
+@pytest.mark.parametrize("where", [0.0001, 0.1, 0.5, 0.9, 0.999])
+@pytest.mark.parametrize("kind", KINDS)
+def test_archives_that_end_early(tmp_path, kind, where):
+    content = KINDS[kind](FILES)
+    end = int(where * len(content)) if kind != "tar" else int(where * content.rindex(b"ustar"))  # zeros follow
     with pytest.raises(BadFileError, match=r"a cannot be unpacked: .*; --force downloads it again"):
-        unpacked(tmp_path / "a", content[: int(where * len(content))])
+        unpacked(tmp_path / "a", content[:end])
 
 
-@pytest.mark.parametrize(
-    "pack",
-    [zipped, *(lambda files, c=c: tarred(files, c) for c in ("gz", "bz2", "xz"))],
-    ids=["zip", "tar.gz", "tar.bz2", "tar.xz"],
-)
-def test_a_changed_byte_is_found(tmp_path, pack):
+@pytest.mark.parametrize("where", [0.001, 0.3, 0.5, 0.7, 0.9])
+@pytest.mark.parametrize("kind", WITH_SUMS)
+def test_a_changed_byte_is_found(tmp_path, kind, where):
     """By the sums inside the archives, where nobody publishes one."""
-    content = bytearray(pack(FILES))
-    content[len(content) // 2] ^= 1
-    with pytest.raises(BadFileError, match="a cannot be unpacked"):
+    content = bytearray(KINDS[kind](FILES))
+    content[int(where * len(content))] ^= 1
+    with pytest.raises(BadFileError, match=r"a (cannot be unpacked|is refused)"):
         unpacked(tmp_path / "a", bytes(content))
+
+
+@pytest.mark.parametrize("pack", [lambda raw: raw, gzip.compress, bz2.compress])
+@pytest.mark.parametrize("change", [lambda raw, at: raw[:at], lambda raw, at: raw[:at] + b"?" + raw[at + 1 :]])
+def test_a_tar_file_that_ends_between_members(tmp_path, pack, change):
+    """Its members so far are whole, and tarfile takes what follows for the end."""
+    raw = tarred(FILES, "")
+    last = raw.rindex(b"ustar") - 257  # where the header of the last member begins
+    with pytest.raises(BadFileError, match="a cannot be unpacked: it ends early, or the header of a member is damaged"):
+        unpacked(tmp_path / "a", pack(change(raw, last)))
 
 
 def test_a_member_before_the_beginning(tmp_path):
@@ -182,3 +201,68 @@ def test_a_member_that_points_to_the_bytes_of_another(tmp_path):
 def test_what_file_managers_leave_is_left_out(tmp_path):
     names = ("__MACOSX/lion/._1.jpg", "lion/.DS_Store", "lion/Thumbs.db", "lion/.download.json", "./lion/1.jpg")
     assert unpacked(tmp_path / "a.tar", tarred(dict.fromkeys(names, b"1"))) == {"lion/1.jpg": b"1"}
+
+
+def test_too_many_members(tmp_path, monkeypatch):
+    monkeypatch.setattr(archives, "MOST_MEMBERS", len(FILES))
+    for kind, pack in KINDS.items():
+        assert len(unpacked(tmp_path / kind, pack(FILES))) == len(FILES)
+        with pytest.raises(BadFileError, match=r"is refused: it has more than \d+ members; nothing of it is in place"):
+            unpacked(tmp_path / kind, pack({**FILES, ".hidden": b""}))
+
+
+def declared(kind: bytes, size: int, name: str = "a") -> bytes:
+    """A header of a tar file that states a size."""
+    info = tarfile.TarInfo(name)
+    info.type = kind
+    header = bytearray(info.tobuf(tarfile.GNU_FORMAT))
+    header[124:136], header[148:156] = tarfile.itn(size, 12, tarfile.GNU_FORMAT), b" " * 8
+    header[148:156] = b"%06o\0 " % sum(header)
+    return bytes(header)
+
+
+HEADERS = {
+    "a negative file": ((tarfile.REGTYPE, -512), "'a' is of negative size"),
+    "a negative file of no kind": ((b"Z", -1024), "'a' is of negative size"),
+    "negative details": ((tarfile.XHDTYPE, -512), "cannot be unpacked"),
+    "large details": ((tarfile.XHDTYPE, 10**8), "states a size of more than 65.5 kB"),
+    "a long name": ((tarfile.GNUTYPE_LONGNAME, 10**8), "states a size of more than 65.5 kB"),
+    "nothing, and much behind the end": ((tarfile.REGTYPE, 0), r"it has more than \d+\.\d MB, headers included"),
+}
+
+
+@pytest.mark.parametrize(("header", "said"), HEADERS.values(), ids=HEADERS)
+def test_sizes_that_lie_in_tar_files(tmp_path, header, said):
+    """200 MB in 1 MB, which no member declares."""
+    content = gzip.compress(declared(*header) + bytes(2 * 10**8), 1)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(BadFileError, match=said):
+        unpacked(tmp_path / "a", content)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50_000  # KB
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2])
+def test_sizes_that_lie_in_zip_files(tmp_path, method):
+    """Members that declare 1 kB and hold 300 MB: no more than declared is written, and little is in memory."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", method) as archive, archive.open("a", "w") as member:
+        for _ in range(300):
+            member.write(bytes(10**6))
+    content = bytearray(out.getvalue())
+    entry = content.rindex(b"PK\x01\x02")
+    content[entry + 16 : entry + 20] = zlib.crc32(bytes(1000)).to_bytes(4, "little")
+    content[entry + 24 : entry + 28] = (1000).to_bytes(4, "little")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert unpacked(tmp_path / "a", bytes(content)) == {"a": bytes(1000)}
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 150_000  # KB
+
+
+def test_a_list_of_members_that_is_too_long(tmp_path, monkeypatch):
+    monkeypatch.setattr(archives, "LARGEST_INDEX", 200)
+    with pytest.raises(BadFileError, match="states a size of more than 200 bytes"):
+        unpacked(tmp_path / "a", zipped(FILES))
+
+
+def test_a_name_that_is_too_long(tmp_path):
+    with pytest.raises(BadFileError, match=r"cannot be unpacked: .*too long"):
+        unpacked(tmp_path / "a", zipped({"x" * 300: b""}))
