@@ -76,7 +76,8 @@ class Images(Part):
     needed_to_render = True
 
     def __init__(self, read: Callable[[], dict[str, torch.Tensor]]) -> None:
-        self._read, self._images = read, dict[str, torch.Tensor]()
+        self._read = read
+        self._images: dict[str, torch.Tensor] | None = None  # a stored cell has its own, and no file is read for it
 
     def of(self, view: str) -> torch.Tensor:
         """Return the render of a view, float32. Raises NotApplicableError for one that is no test view."""
@@ -86,7 +87,8 @@ class Images(Part):
         return image if image.is_floating_point() else image.float() / 255
 
     def state_dict(self) -> State:
-        self._images = self._images or self._read()
+        if self._images is None:
+            self._images = self._read()
         return self._images
 
     def load_state_dict(self, saved: State) -> None:

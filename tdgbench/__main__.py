@@ -6,9 +6,9 @@ import gc
 import os
 import signal
 import sys
-from pathlib import Path
 from typing import NoReturn
 
+from tdgbench.resources import import_from_no_working_folder
 from tdgbench.signals import SIGNALS, Interrupted, interruptible
 from tdgbench.terminal import guard_streams, say
 
@@ -25,8 +25,12 @@ def main() -> int:
     gc.disable()  # what is imported stays: looking for garbage takes a fifth of an import's time
     guard_streams()
     wants_traceback = bool(os.environ.get(TRACEBACK))
-    if str(Path.cwd()) not in sys.path and not sys.flags.safe_path:
-        sys.path.append(str(Path.cwd()))  # plug-ins in the working folder, as `python -m` finds them
+    try:
+        import_from_no_working_folder()
+    except OSError as error:  # torch would end the process without a word
+        if not {"--version", "--help", "-h"} & set(sys.argv[1:2]):
+            say(str(error), "error:", stderr=True)
+            return 1
     with interruptible() as interruption:
         try:
             from tdgbench import command

@@ -13,7 +13,7 @@ import hydra
 from omegaconf import DictConfig
 
 from tdgbench import __version__
-from tdgbench.resources import conf_folder
+from tdgbench.resources import conf_folder, import_from_working_folder
 from tdgbench.terminal import console, say
 from tdgbench.tools import TOOLS
 from tdgbench.usage import usage
@@ -45,6 +45,7 @@ def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
         from tdgbench.experiments import callback  # noqa: F401 (what experiments need)
 
         on_loaded()
+        import_from_working_folder()
         sys.argv[1:] = words or [DEMO]  # where Hydra reads them
         before = os.environ.get(FULL_ERROR)
         os.environ[FULL_ERROR] = "1"

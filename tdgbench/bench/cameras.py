@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tdgbench.bench.read_files import read_text
+from tdgbench.bench.read_files import MOST_PIXELS, read_text
 from tdgbench.files import write_text
 from tdgbench.scenes import Camera, Scene, SceneError
 from tdgbench.scenes.validate import check_camera
@@ -38,6 +38,8 @@ def read_cameras(folder: Path) -> Cameras:
     for name, camera in [*found["train"].items(), *found["test"].items()]:
         if Path(name).name != name or "\0" in name:
             raise ValueError(f"{shortened(repr(name), 60)} is no name of a view")
+        if camera.width * camera.height > MOST_PIXELS:
+            raise ValueError(f"the camera of {name} has {camera.width}×{camera.height} px, more than {MOST_PIXELS}")
         try:
             check_camera(camera, f"the camera of {name}")
         except SceneError as error:

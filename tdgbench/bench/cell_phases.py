@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections.abc import Iterator, Sequence
@@ -17,11 +18,13 @@ from omegaconf import DictConfig
 from tdgbench.bench import cameras
 from tdgbench.bench.backend_check.choose import auto, training_backend
 from tdgbench.bench.environment import SAME_BYTES, code_version
+from tdgbench.bench.ground_truth import truth_hashes
 from tdgbench.bench.key import as_json, cell_key, relevant_config
 from tdgbench.bench.masks import masked_share
 from tdgbench.bench.paths import cell_folder_of, files_of, prior_cache, short_name
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.protocol import protocol_of
+from tdgbench.bench.read_files import MOST_PIXELS
 from tdgbench.bench.record import MadeElsewhere, PartReport, Record, SkipRecord
 from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.scores import score_training_views, write_log, write_views
@@ -29,7 +32,7 @@ from tdgbench.bench.setup import Facts, SetupObserver, Training, loader_of, set_
 from tdgbench.bench.stored import hashes
 from tdgbench.bench.stored_parts import write_parts
 from tdgbench.files import whole_folder
-from tdgbench.scenes import Dataset, Scene
+from tdgbench.scenes import Dataset, Scene, SceneError
 from tdgbench.scenes.datasets import Outline, outline_of
 from tdgbench.scoring import Scorer, mean_scores
 from tdgbench.splats.ply import save_ply
@@ -122,6 +125,12 @@ class CellRun(SetupObserver):
         key, self.record.key = self.record.key, ""
         with self.phase("load"):
             scene = cell.outline.read()
+            width, height = max(((v.camera.width, v.camera.height) for v in scene.views), key=math.prod)
+            if width * height > MOST_PIXELS:
+                raise SceneError(
+                    f"{scene.name} has views of {width}×{height} px, and results hold {MOST_PIXELS} px at most: "
+                    f"set data.width={int(width * (MOST_PIXELS / (width * height)) ** 0.5)} or less"
+                )
         self.record.key = key
         return scene
 
@@ -183,7 +192,7 @@ class CellRun(SetupObserver):
                 cameras.write_cameras(unfinished / cameras.FILE, scene)
                 write_views(unfinished / "views.csv", scores)
                 write_log(unfinished / "log.csv", log)
-            record.hashes = hashes(unfinished)
+            record.hashes, record.truth = hashes(unfinished), truth_hashes(scene.test)
             record.write(unfinished)
         self._discard(checkpoint)
 

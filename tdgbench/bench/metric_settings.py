@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NotRequired
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
@@ -10,9 +11,12 @@ from typing_extensions import TypedDict  # pydantic refuses that of typing befor
 
 from tdgbench.bench.record import FILE
 from tdgbench.scoring import LPIPSOptions, Scorer
+from tdgbench.scoring.backbones import own_weights
 from tdgbench.scoring.lpips import Net, Range
 from tdgbench.scoring.scored_view import Border, ConventionName
+from tdgbench.text import shortened
 
+NAME_IT = "--weights FILE (of verify), metrics.lpips.weights=FILE (of score)"
 IGNORE = ConfigDict(extra="ignore", strict=True)
 
 
@@ -50,7 +54,28 @@ def metric_settings(metrics: Mapping[str, Any] | None) -> MetricSettings:
         raise ValueError(f"{FILE}: {place}: {first['msg']}") from error
 
 
-def scorer_of(settings: MetricSettings, download: bool = False) -> Scorer:
-    """Return the scorer of settings. download: whether a missing backbone of LPIPS may be downloaded."""
-    lpips = LPIPSOptions(settings["lpips"]["net"], settings["lpips"]["weights"], download)
-    return Scorer(settings["convention"], settings["ssim_border"], settings["lpips_range"], lpips)
+def scorer_of(settings: MetricSettings, download: bool = False, weights: Path | None = None) -> Scorer:
+    """Return the scorer of settings in a record.
+
+    download: whether a missing backbone of LPIPS may be downloaded. weights: its file, which the command line names;
+    one that a record names is not opened. Without the weights of the record, LPIPS is n/a, with the reason.
+    """
+    net = settings["lpips"]["net"]
+    lpips = LPIPSOptions(net, None if weights is None else str(weights), download)
+    scorer = Scorer(settings["convention"], settings["ssim_border"], settings["lpips_range"], lpips)
+    scorer.no_lpips = why_no_lpips(settings["lpips"], weights)
+    return scorer
+
+
+def why_no_lpips(stated: LPIPSSettings, weights: Path | None) -> str:
+    """Return why weights that the command line names, or none, are not those of a record; empty if they are."""
+    if weights is None and "weights_sha256" in stated:
+        file = shortened(Path(stated["weights"] or "").name, 80)
+        return f"its backbone is a file of its own, {file}; name it: {NAME_IT}"
+    if weights is None:
+        return ""
+    if not weights.is_file():
+        return f"{weights} is not there, or no file"
+    if own_weights(stated["net"], str(weights)) != stated.get("weights_sha256", ""):
+        return f"{weights} is not the file that the scores were made with"
+    return ""

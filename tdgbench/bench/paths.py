@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from pathlib import Path
 from typing import NamedTuple
 
 from tdgbench.bench.record import Record
 from tdgbench.scenes.modalities import THERMAL
 
+# Files of a cell by relative path; every other file is a stranger there.
+CELL_FILE = re.compile(
+    r"record\.json|cameras\.json|views\.csv|log\.csv|parts\.pt|model(_\w+)?\.ply"
+    r"|((renders|targets)(_\w+)?|masks|determinacy)/[^/]+\.png"
+)
 LONGEST = 230  # bytes of a folder's name; file systems allow 255, and hidden siblings have longer names
 
 

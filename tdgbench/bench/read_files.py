@@ -1,50 +1,28 @@
-"""Read the files of a cell, which may be anything by now: only regular files, up to a size, with clear errors."""
+"""Read the files of a cell, which may be anything by now: regular files inside it, up to a size, with clear errors."""
 
 from __future__ import annotations
 
 import csv
 import io
-import stat
 import warnings
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from tdgbench.scenes.inputs import KINDS
-from tdgbench.scenes.validate import MAX_PIXELS
+from tdgbench.files import MB, content_of, opened
 
-MAX_TEXT = 64 * 2**20  # bytes of a record, a table or a list of cameras
-
-
-def check_regular(path: Path) -> int:
-    """Return the size in bytes of a regular file, or of one that a link leads to.
-
-    Raises ValueError for anything else, without opening it, and FileNotFoundError where there is nothing.
-    """
-    try:
-        found = path.stat()
-    except FileNotFoundError:
-        raise
-    except OSError as error:  # a loop of links, a name that is too long, a folder without permission
-        raise ValueError(f"it cannot be read: {error.strerror}") from error
-    if not stat.S_ISREG(found.st_mode):
-        raise ValueError(f"it is {KINDS.get(stat.S_IFMT(found.st_mode), 'no file')}, not a regular file")
-    return found.st_size
+MAX_TEXT = 16 * MB  # of a record, a table or a list of cameras; the cameras of 10 000 views have 7
+MAX_PICTURE = 256 * MB  # of a PNG file
+MOST_PIXELS = 2**22  # of a view of a cell: three times those of the largest thermal cameras; checking one takes 250 B each
 
 
 def read_text(path: Path) -> str:
     """Read a UTF-8 text file. Raises ValueError for anything else, FileNotFoundError where there is nothing."""
-    if check_regular(path) > MAX_TEXT:
-        raise ValueError(f"it is larger than {MAX_TEXT // 2**20} MB")
     try:
-        return path.read_bytes().decode("utf-8")
+        return content_of(path, MAX_TEXT, inside=path.parent).decode("utf-8")
     except UnicodeDecodeError as error:
         raise ValueError(f"it is not UTF-8 text (byte {error.start})") from error
-    except FileNotFoundError:
-        raise
-    except OSError as error:
-        raise ValueError(f"it cannot be read: {error.strerror}") from error
 
 
 def read_table(path: Path) -> list[list[str]]:
@@ -60,22 +38,19 @@ def read_table(path: Path) -> list[list[str]]:
 
 
 def read_picture(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:
-    """Return a stored picture, (H, W, 1) or (H, W, 3) uint8. size: width and height that it must have, px.
+    """Return a picture in a folder of a cell, (H, W, 1) or (H, W, 3) uint8. size: width, height that it must have, px.
 
     The size in its header is compared before anything is decoded. Raises ValueError for anything but such a picture,
     FileNotFoundError where there is nothing.
     """
-    check_regular(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of large pictures; their size is checked here
-            with Image.open(path, formats=("PNG",)) as picture:
+    with opened(path, MAX_PICTURE, inside=path.parents[1]) as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of large pictures; their size is checked here
+        try:
+            with Image.open(file, formats=("PNG",)) as picture:
                 _check_header(picture, size)
                 values = np.asarray(picture)
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # Pillow raises SyntaxError, struct.error, zlib.error … on damaged files
-        raise ValueError(f"it is no picture: {error}") from error
+        except Exception as error:  # Pillow raises SyntaxError, struct.error, zlib.error … on damaged files
+            raise ValueError(f"it is no picture: {error}") from error
     return values[..., None] if values.ndim == 2 else values
 
 
@@ -92,7 +67,7 @@ def read_named(folder: Path, name: str, size: tuple[int, int] | None = None) -> 
 def _check_header(picture: Image.Image, size: tuple[int, int] | None) -> None:
     if size is not None and picture.size != size:
         raise ValueError(f"it is {picture.width}×{picture.height} px, its camera {size[0]}×{size[1]} px")
-    if picture.width * picture.height > MAX_PIXELS:
+    if picture.width * picture.height > MOST_PIXELS:
         raise ValueError(f"{picture.width}×{picture.height} px are too many")
     if picture.mode not in ("L", "RGB"):
         raise ValueError(f"it is of mode {picture.mode}, not 8-bit gray or RGB")

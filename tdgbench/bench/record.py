@@ -21,19 +21,21 @@ SCHEMA: Literal[2] = 2
 CLOSED = ConfigDict(extra="forbid", allow_inf_nan=False)
 READ_PHASE = "read"  # of the failure that stands for a record that cannot be read
 LARGEST = 2**63 - 1
+LARGEST_SCORE = 1e12  # of any metric and unit
 MOST_SHOWN = 60  # characters of a wrong value
 
 Status = Literal["ok", "failed"]
 Text = Annotated[str, Field(min_length=1)]
 Integer = Annotated[int, Field(ge=-LARGEST, le=LARGEST)]
-Count = Annotated[int, Field(ge=0, le=LARGEST)]
-Positive = Annotated[int, Field(ge=1, le=LARGEST)]
-Seconds = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=0, le=10**12)]
+Positive = Annotated[int, Field(ge=1, le=10**12)]
+Seconds = Annotated[float, Field(ge=0, le=1e9)]
 Share = Annotated[float, Field(ge=0, le=1)]
-Megabytes = Annotated[float, Field(ge=0)]
+Megabytes = Annotated[float, Field(ge=0, le=1e9)]
+Celsius = Annotated[float, Field(ge=-1e6, le=1e6)]
 Key = Annotated[str, Field(pattern="^([0-9a-f]{32})?$")]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-Scores = dict[str, float | None]
+Scores = dict[str, Annotated[float, Field(ge=-LARGEST_SCORE, le=LARGEST_SCORE)] | None]
 
 
 @with_config(CLOSED)
@@ -105,7 +107,7 @@ class Record:
     iterations: Count = 0
     resumed: list[Positive] = field(default_factory=list)  # iterations of the checkpoints used
     channels: Literal[0, 1, 3] = 0  # of the thermal images; 0: not loaded
-    temperature_range: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None  # °C of 0 and 1
+    temperature_range: Annotated[list[Celsius], Field(min_length=2, max_length=2)] | None = None  # °C of 0 and 1
     views: dict[str, Count] = field(default_factory=dict)
     masked: dict[str, Share] = field(default_factory=dict)  # share of the pixels without a thermal value, as `views`
     scores: Scores = field(default_factory=dict)
@@ -124,6 +126,7 @@ class Record:
     skips: list[SkipRecord] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     hashes: dict[str, Sha256] = field(default_factory=dict)
+    truth: dict[str, Sha256] = field(default_factory=dict)  # of each test view's ground truth as scored; `truth_hash`
     environment: dict[str, Any] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
     failure: Failure | None = None

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 from tdgbench.bench.read_files import read_table
+from tdgbench.bench.record import LARGEST_SCORE
 from tdgbench.bench.renders import render_images
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, Scores, mean_scores
@@ -96,11 +97,11 @@ def write_log(path: Path, log: TrainingLog) -> None:
 
 
 def finite_field(text: str, what: str) -> float:
-    """Return a number from a CSV field. Raises ValueError, naming it by `what`, if it is none or not finite."""
+    """Return a number from a CSV field. Raises ValueError, naming it by `what`, if it is none or out of range."""
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"{what} is {shortened(text, 60)!r}, which is no finite number")
+    if not abs(value) <= LARGEST_SCORE:  # NaN included
+        raise ValueError(f"{what} is {shortened(text, 60)!r}, which is no finite number up to {LARGEST_SCORE:g}")
     return value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -11,9 +10,8 @@ from pathlib import Path
 
 from tdgbench.bench.key import as_json
 from tdgbench.bench.paths import hidden_folder
-from tdgbench.bench.read_files import check_regular
 from tdgbench.bench.record import FILE, Failure, Record, read_record, record_files
-from tdgbench.files import put_in_place, whole_folder
+from tdgbench.files import put_in_place, sha256_of, whole_folder
 
 OF_TIMES = ("log.csv",)  # hold times, so that they differ between equal trainings
 
@@ -38,7 +36,7 @@ def write_failure(folder: Path, record: Record, failure: Failure) -> None:
         if failure.of_environment and record.key in ("", existing.key):
             return
         put_in_place(folder, hidden_folder(folder, existing.key))
-    record.scores, record.train_scores, record.hashes = {}, {}, {}
+    record.scores, record.train_scores, record.hashes, record.truth = {}, {}, {}, {}
     for name in ("config", "environment", "init_points", "prior"):
         setattr(record, name, as_json(getattr(record, name)))
     with whole_folder(folder) as part:
@@ -81,15 +79,9 @@ def cell_files(folder: Path) -> dict[str, Path]:
     return {path.relative_to(folder).as_posix(): path for path in found if path != folder / FILE}
 
 
-def sha256(path: Path) -> str:
-    """Return SHA-256 of a file's content, read piece by piece."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def hashes(folder: Path) -> dict[str, str]:
     """Return SHA-256 of every file below a cell's folder but its record, by relative path."""
-    return {name: sha256(path) for name, path in cell_files(folder).items()}
+    return {name: sha256_of(path, folder) for name, path in cell_files(folder).items()}
 
 
 def hashes_of_content(recorded: dict[str, str]) -> dict[str, str]:
@@ -111,8 +103,7 @@ def file_problems(folder: Path, recorded: dict[str, str], others: bool = True) -
     yield from (f"{name} is not in the record" for name in sorted(set(actual) - set(recorded)) if others)
     for name in sorted(set(actual) & set(recorded)):
         try:
-            check_regular(actual[name])
-            if sha256(actual[name]) != recorded[name]:
+            if sha256_of(actual[name], folder) != recorded[name]:
                 yield f"{name} has changed"
         except (OSError, ValueError) as error:
             yield f"{name} cannot be read: {error}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import torch
 from pydantic import TypeAdapter, ValidationError
 
 from tdgbench.bench.cameras import Cameras
+from tdgbench.bench.known_classes import method_of
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import Record
 from tdgbench.bench.renders import background_of, blending_of
@@ -19,8 +19,9 @@ from tdgbench.files import whole_file
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats.ply import load_ply
 from tdgbench.splats.view import Render
+from tdgbench.tensors import load_tensors
 from tdgbench.training.budget import Budget
-from tdgbench.training.method import Context, Frame, Method
+from tdgbench.training.method import Context, Frame
 from tdgbench.training.model import SplatModel
 from tdgbench.training.trainer import Trainer
 
@@ -44,13 +45,14 @@ class StoredMethod:
         trainer = _trainer_of(record, cameras)
         trainer.at_stage(len(trainer.stages) - 1)
         for name, model in trainer.gaussians.items():
-            model.restore(load_ply(folder / files_of(name).model), background_of(record, name), blending_of(record))
+            gaussians = load_ply(folder / files_of(name).model, inside=folder)
+            model.restore(gaussians, background_of(record, name), blending_of(record))
         try:
-            states: dict[str, Any] = torch.load(folder / FILE, weights_only=True, map_location="cpu")
+            states: dict[str, Any] = load_tensors(folder / FILE, inside=folder)
             for name, part in trainer.all_parts().items():
                 if part.needed_to_render:
                     part.load_state_dict(states[name])
-        except Exception as error:  # torch documents no exception types for foreign files
+        except (Exception, SystemExit) as error:  # parts of a user's method may raise anything
             raise ValueError(f"{folder / FILE} does not hold the parts of {record.method}: {error}") from error
         self._trainer = trainer
 
@@ -75,7 +77,7 @@ class MethodInTraining(StoredMethod):
         """Raises ValueError, naming file or method, if it cannot be restored, FileNotFoundError if it is not there."""
         trainer = self._trainer = _trainer_of(record, cameras)
         try:
-            saved = torch.load(checkpoint, weights_only=True, map_location="cpu")
+            saved = load_tensors(checkpoint, inside=checkpoint.parent)
             trainer.at_stage(saved["stage"])
             for name, part in trainer.all_parts().items():
                 if isinstance(part, SplatModel):
@@ -88,7 +90,7 @@ class MethodInTraining(StoredMethod):
             self.iterations: int = saved["log"]["iterations"]
         except FileNotFoundError:
             raise
-        except Exception as error:  # torch documents no exception types for foreign files
+        except (Exception, SystemExit) as error:  # parts of a user's method may raise anything
             raise ValueError(f"{checkpoint} does not hold a training of {record.method}: {error}") from error
         self.models = {name: model.gaussians for name, model in trainer.gaussians.items()}
 
@@ -98,26 +100,13 @@ _POINTS = PointCloud(np.zeros((4, 3)), np.full((4, 3), 0.5, np.float32))  # in t
 
 def _trainer_of(record: Record, cameras: Cameras) -> Trainer:
     """Return the trainer of a record at its first stage, without images. Raises ValueError, naming the method."""
-    method = _method_of(record)
+    method = method_of(record)
+    if not method.trains and method.renders_plain_gaussians:  # it would read the file that its options name
+        raise ValueError(f"method {record.method} has no parts, and {FILE} holds some")
     context = Context(_scene_of(record, cameras), _POINTS, {}, _budget_of(record), "cpu", 0)
     trial = record.thermal_camera.get("rig", {})  # of `thermal_camera.rig=auto`
     context.learns_rig = trial.get("pays", bool(record.setting("thermal_camera.rig")))
     return Trainer(method, context)
-
-
-def _method_of(record: Record) -> Method:
-    """Return the method with its options. Raises ValueError if it is not installed, or no method."""
-    options = dict((record.setting("method.method") or {}).items())
-    module, _, name = str(options.pop("_target_", "")).rpartition(".")
-    try:
-        kind = getattr(importlib.import_module(module), name)
-        if not issubclass(kind, Method):
-            raise TypeError(f"{module}.{name} is no method")
-        method: Method = kind(**options)
-    except (ImportError, AttributeError, ValueError, TypeError) as error:
-        reason = f"method {record.method} cannot be made as in its record ({error})"
-        raise ValueError(f"{reason}; run this where its file is, with the version that trained it") from error
-    return method
 
 
 def _budget_of(record: Record) -> Budget:

@@ -64,7 +64,7 @@ class StoredViews:
 
         Raises ValueError if the cell has no model, or one that cannot be read.
         """
-        gaussians, response = load_ply(self.folder / files_of(THERMAL).model), response_of(self.record)
+        gaussians, response = load_ply(self.folder / files_of(THERMAL).model, self.folder), response_of(self.record)
         render_from = self.renderer(THERMAL, gaussians)
         known = determinacy_of(gaussians, self.all_cameras["train"].values())
         found = {}
@@ -86,7 +86,7 @@ class StoredViews:
         if (self.folder / stored_parts.FILE).exists():
             method = self._method
             return lambda name: method.render_from(self.cameras[name], modality, name)
-        stored = load_ply(self.folder / files_of(modality).model) if gaussians is None else gaussians
+        stored = load_ply(self.folder / files_of(modality).model, self.folder) if gaussians is None else gaussians
         return lambda name: render_model(
             stored, self.cameras[name], depth=modality == THERMAL, blending=blending_of(self.record),
             background=background_of(self.record, modality),

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from pathlib import PurePosixPath
 from typing import Any, NamedTuple
 
+from tdgbench.bench.ground_truth import views_with_other_truth
 from tdgbench.bench.key import flat
 from tdgbench.bench.protocol import MEASURED_ON
 from tdgbench.bench.record import Record
 from tdgbench.bench.signature import as_typed
 from tdgbench.compare.cells import Pair
+from tdgbench.text import one_line
 
 PROTOCOL, TRAINING, MACHINE = "protocol", "training", "machine"
 KINDS = {
@@ -22,6 +25,9 @@ OF_PROTOCOL = ("protocol", "data", *MEASURED_ON)  # fields of Record
 OF_TRAINING = ("iterations", "backend", "code", "prior", "init_points")
 PROTOCOL_OPTIONS = ("dataset", "metrics")  # groups of the configuration
 ELSEWHERE = ("metrics.lpips.weights",)  # says where weights are, not which they are
+
+
+TRUTH = PROTOCOL, "ground truth"
 
 
 class Cause(NamedTuple):
@@ -39,10 +45,11 @@ class Cause(NamedTuple):
 
 
 def find_causes(pairs: Iterable[Pair]) -> list[Cause]:
-    """Return every setting that differs in a pair, by kind, most frequent ones first."""
+    """Return every setting that differs in a pair, by kind, most frequent ones first; their ground truth among them."""
     found: dict[tuple[str, str], Counter[tuple[str, str]]] = {}
     for pair in pairs:
         a, b = settings(pair.a.record), settings(pair.b.record)
+        a[TRUTH], b[TRUTH] = "A's", truth_in_words(pair)
         for key in {**a, **b}:
             values = a.get(key, "n/a"), b.get(key, "n/a")
             if values[0] != values[1]:
@@ -50,6 +57,16 @@ def find_causes(pairs: Iterable[Pair]) -> list[Cause]:
     causes = [Cause(*key, counts.most_common(1)[0][0], counts.total()) for key, counts in found.items()]
     kinds = list(KINDS)
     return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells))
+
+
+def truth_in_words(pair: Pair) -> str:
+    """Return whose ground truth the second cell of a pair was scored against, by their pictures."""
+    a, b = ({PurePosixPath(name).stem for name in cell.record.hashes if name.startswith("targets/")} for cell in pair)
+    try:
+        other = views_with_other_truth(pair.a.folder, pair.b.folder, sorted(a & b))
+    except (ValueError, OSError) as error:
+        return f"unknown, since {one_line(str(error))}"
+    return f"another one in {len(other)} of {len(a & b)} test views" if other else "A's"
 
 
 def settings(record: Record) -> dict[tuple[str, str], str]:

@@ -99,6 +99,7 @@ def sentences(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> lis
     if PROTOCOL in kinds:
         found.append("the two do not follow one protocol, so their scores are not comparable: see what differs")
     found.append(f"what differs: {', '.join(kinds)}" if kinds else "settings, data, code and machine are the same")
+    found.append("the ground truth of both is what their files say: tdgbench verify compares it with the data")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
         if alone:
             more = f" and {len(alone) - 1} more" if len(alone) > 1 else ""

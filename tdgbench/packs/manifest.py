@@ -5,15 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass
-from pathlib import PurePosixPath
 from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from tdgbench.bench.record import Sha256
+from tdgbench.packs.limits import NAME, check_place
+from tdgbench.scenes import SceneError
 
 FILE = "manifest.json"
-MOST_BYTES = 2**24  # of a manifest: a hundred thousand files
 SHOWN = 12  # digits of a pack's hash in its file's name
 
 
@@ -33,8 +33,8 @@ class Manifest:
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
-    experiment: Annotated[str, Field(pattern=r"^[^/\\.][^/\\]*$")]
-    version: str
+    experiment: Annotated[str, Field(pattern=f"^{NAME}$")]
+    version: Annotated[str, Field(pattern=r"^[\w.+-]{1,60}$")]
     files: dict[str, PackedFile]
     format: Literal[1] = 1
 
@@ -56,7 +56,8 @@ def read_manifest(text: bytes) -> Manifest:
         first = error.errors(include_url=False)[0]
         raise ValueError(f"{'.'.join([FILE, *map(str, first['loc'])])}: {first['msg']}") from error
     for name in manifest.files:
-        path = PurePosixPath(name)
-        if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name or path.as_posix() != name:
-            raise ValueError(f"{FILE} names {name!r}, which is no place in the pack")
+        try:
+            check_place(name)
+        except (ValueError, SceneError) as error:
+            raise ValueError(f"{FILE}: {error}") from error
     return manifest

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import re
+import shutil
 import zipfile
 from pathlib import Path
 
 from tdgbench import __version__
 from tdgbench.bench import plan
-from tdgbench.bench.read_files import check_regular
+from tdgbench.bench.paths import folder_name
 from tdgbench.bench.record import FILE, no_records, record_files
 from tdgbench.bench.stored import cell_files
-from tdgbench.files import whole_file
+from tdgbench.files import content_of, opened, whole_file
 from tdgbench.packs import manifest
+from tdgbench.packs.limits import NAME, check_amount, check_place, most_bytes
 from tdgbench.packs.manifest import Manifest, PackedFile, sha256
+from tdgbench.scenes import SceneError
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file: the first time that a zip file can state
 TEXTS = (".json", ".csv")
@@ -34,23 +39,37 @@ def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -
         raise ValueError(f"--out {path}: the file's name must end in .zip")
     paths = _paths(experiment)
     for name, file in paths.items():
-        found = private_paths(_read(file).decode(errors="replace")) if name.endswith(TEXTS) and not keep_paths else []
+        found = private_paths(_text(file).decode(errors="replace")) if name.endswith(TEXTS) and not keep_paths else []
         if found:
             raise ValueError(
                 f"{file} holds {found[0]!r}, a path of this machine: run the cell again with relative "
                 "paths (data.root=data), or pack with --keep-paths"
             )
-    files = {name: PackedFile(len(content := _read(file)), sha256(content)) for name, file in paths.items()}
-    text = Manifest(experiment.resolve().name, __version__, files).to_json()
+    files = {}
+    for name, file in paths.items():
+        with _content(file, experiment) as content:
+            size = content.seek(0, 2)
+            content.seek(0)
+            files[name] = PackedFile(size, hashlib.file_digest(content, "sha256").hexdigest())
+    check_amount(files, 0, 0)
+    own = experiment.resolve().name
+    text = Manifest(own if re.fullmatch(NAME, own) else folder_name(own), __version__, files).to_json()
     name = sha256(text)
     path = path or experiment.resolve().parent / f"{experiment.resolve().name}-{name[: manifest.SHOWN]}.zip"
     with whole_file(path) as part, zipfile.ZipFile(part, "w") as archive:
-        for entry in (manifest.FILE, *paths):
-            info = zipfile.ZipInfo(entry, EPOCH)
-            info.external_attr, info.create_system = 0o100644 << 16, 3  # a regular file, on any system
-            info.compress_type = zipfile.ZIP_DEFLATED if entry.endswith(COMPRESSED) else zipfile.ZIP_STORED
-            archive.writestr(info, text if entry == manifest.FILE else _read(paths[entry]))
+        archive.writestr(_info(manifest.FILE), text)
+        for entry, file in paths.items():
+            with _content(file, experiment) as content, archive.open(_info(entry, files[entry].size), "w") as out:
+                shutil.copyfileobj(content, out)
     return path, name
+
+
+def _info(entry: str, size: int = 0) -> zipfile.ZipInfo:
+    info = zipfile.ZipInfo(entry, EPOCH)
+    info.external_attr, info.create_system = 0o100644 << 16, 3  # a regular file, on any system
+    info.compress_type = zipfile.ZIP_DEFLATED if entry.endswith(COMPRESSED) else zipfile.ZIP_STORED
+    info.file_size = size  # decides whether a member needs zip64
+    return info
 
 
 def private_paths(text: str) -> list[str]:
@@ -70,17 +89,26 @@ def _paths(experiment: Path) -> dict[str, Path]:
     paths = [experiment / plan.FILE] if (experiment / plan.FILE).exists() else []
     for record in records:
         paths += [record, *cell_files(record.parent).values()]
-    for path in paths:
+    found = {}
+    for path in sorted(paths):
+        name = path.relative_to(experiment).as_posix()
         try:
-            check_regular(path)
-        except ValueError as error:
+            check_place(name)
+            opened(path, most_bytes(name), inside=experiment).close()
+        except (ValueError, SceneError) as error:
             raise ValueError(f"{path} cannot be packed: {error}") from error
-    return {path.relative_to(experiment).as_posix(): path for path in sorted(paths)}
+        found[name] = path
+    return found
 
 
-def _read(path: Path) -> bytes:
-    """Read a file of a pack; a record is without the traceback of a failure."""
-    stored = path.read_bytes()
+def _content(path: Path, experiment: Path) -> io.BytesIO | io.BufferedReader:
+    """Open a file of a pack; a record is without the traceback of a failure."""
+    return io.BytesIO(_text(path)) if path.name == FILE else opened(path, inside=experiment)
+
+
+def _text(path: Path) -> bytes:
+    """Read a text; a record is without the traceback of a failure."""
+    stored = content_of(path, most_bytes(path.name))
     if path.name != FILE:
         return stored
     try:

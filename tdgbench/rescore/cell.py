@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.key import cell_key, flat, relevant_metrics
+from tdgbench.bench.key import cell_key, flat
+from tdgbench.bench.known_classes import UnknownMethodError
 from tdgbench.bench.protocol import VERSION, protocol_of
 from tdgbench.bench.record import Record
 from tdgbench.bench.scores import Row, read_views, write_views
@@ -55,8 +56,6 @@ def score_cell(folder: Path, record: Record, target: Path, scorer: Scorer, metri
     new.key = cell_key(new)
     known = _known(folder, record, target, new)
     todo = [metric for name, metric in METRICS.items() if name not in known.metrics]
-    if any(metric.of_network for metric in todo) and relevant_metrics(metrics) != metrics:
-        raise ValueError(f"metrics.lpips.weights={metrics['lpips']['weights']} is not the file of the first scores")
     start = time.perf_counter()
     rows = _rows(StoredViews(folder, record, read_cameras(folder)), scorer, known, todo)
     new.scores, new.train_scores = mean_scores(rows), dict(record.train_scores)
@@ -109,10 +108,16 @@ def _rows(stored: StoredViews, scorer: Scorer, known: Known, todo: list[Metric])
     found = [{name: {m: known.rows[name][m] for m in known.metrics} for name in stored.cameras}]
     if by_pictures:
         found.append(scorer.score(scene, {name: stored.rendered(name) for name in stored.cameras}, by_pictures))
+    why_not = ""
     if by_model and stored.record.gaussians:
-        found.append(scorer.score(scene, stored.rendered_again(), by_model))
+        try:
+            found.append(scorer.score(scene, stored.rendered_again(), by_model))
+        except UnknownMethodError as error:
+            why_not = str(error)
     elif by_model:
-        scorer.missing |= {metric.name: NO_MODEL for metric in by_model}
+        why_not = NO_MODEL
+    if why_not:
+        scorer.missing |= {metric.name: why_not for metric in by_model}
         found.append({name: dict.fromkeys(metric.name for metric in by_model) for name in stored.cameras})
     rows = {name: ChainMap(*(scores[name] for scores in found)) for name in stored.cameras}
     return {name: {metric: row[metric] for metric in METRICS} for name, row in rows.items()}

@@ -13,6 +13,7 @@ from omegaconf import OmegaConf
 
 from tdgbench.bench.failures import message
 from tdgbench.bench.key import as_json, relevant_metrics
+from tdgbench.bench.known_classes import add_trust_arguments, trust
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.metric_settings import metric_settings, scorer_of
 from tdgbench.bench.options import check_options
@@ -42,8 +43,10 @@ def main(arguments: list[str]) -> int:
     )
     parser.add_argument("out", type=Path, metavar="OUT", help="results folder of the scores: new, or of an earlier run")
     parser.add_argument("options", nargs="*", metavar="OPTION", help="metrics=CHOICE, metrics.OPTION=VALUE")
+    add_trust_arguments(parser)
     given = parser.parse_args(arguments)
     try:
+        trust(given)
         with opened_pack(given.experiment) as experiment:
             failed = score_experiment(experiment, given.out, given.options)
         show_findings(write_all(given.out))
@@ -83,7 +86,7 @@ def score_experiment(experiment: Path, out: Path, words: list[str]) -> bool:
                 outcome = _score(folder, record, target, chosen, scorers)
         except (ValueError, OSError) as error:
             failed, outcome = True, f"not scored: {error}"
-        except Exception as error:  # a plug-in of its method may raise anything; the other cells are scored
+        except (Exception, SystemExit) as error:  # a method of the user may raise anything; the others are scored
             failed, outcome = True, f"not scored: {message(error)}"
         say(one_line(f"{record.title}: {outcome}"))
     return failed
@@ -97,7 +100,9 @@ def _score(folder: Path, record: Record, target: Path, chosen: Chosen | None, sc
         return record.why_failed
     metrics, download = chosen or Chosen(record.setting("metrics"))
     settings = metric_settings(metrics)
-    scorer = scorers.setdefault(json.dumps(metrics, sort_keys=True), scorer_of(settings, download))
+    own = settings["lpips"]["weights"] if chosen else None  # one that a record names is not opened
+    scorer = scorer_of(settings, download, None if own is None else Path(own))
+    scorer = scorers.setdefault(json.dumps(metrics, sort_keys=True), scorer)
     computed = score_cell(folder, record, target, scorer, metrics)
     return f"{', '.join(computed)} computed" if computed else "already there"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import socket
 from dataclasses import dataclass
 from functools import cache
@@ -13,6 +12,7 @@ import torch
 from filelock import FileLock
 from torch import Tensor, nn
 
+from tdgbench.files import opened, sha256_of
 from tdgbench.scoring.scored_view import NotApplicableError
 
 DOWNLOAD_TIMEOUT_SECONDS = 20
@@ -118,16 +118,17 @@ def own_weights(net: str, file: str | None) -> str:
 @cache
 def _sha256(path: Path, changed: int) -> str:
     """Return SHA-256 of a file that was changed at this time: half a gigabyte, once for all cells."""
-    with path.open("rb") as stored:
-        return hashlib.file_digest(stored, "sha256").hexdigest()
+    return sha256_of(path)
 
 
 def _read(path: Path) -> dict[str, Tensor]:
+    """Read a file that the user or torch's cache names; torchvision's are of a format that `load_tensors` refuses."""
     try:
-        if path.suffix == ".npz":
-            with np.load(path, allow_pickle=False) as stored:
-                return {k: torch.from_numpy(stored[k].astype(np.float32)) for k in stored.files}
-        return torch.load(path, map_location="cpu", weights_only=True)
+        with opened(path) as file:
+            if path.suffix == ".npz":
+                with np.load(file, allow_pickle=False) as stored:
+                    return {k: torch.from_numpy(stored[k].astype(np.float32)) for k in stored.files}
+            return torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:
         raise BackboneUnavailableError(f"{path} cannot be read as backbone weights: {error}") from error
 

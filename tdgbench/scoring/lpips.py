@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from tdgbench.files import opened
 from tdgbench.scoring.backbones import SPECS, BackboneUnavailableError, make_trunk, trunk_weights
 from tdgbench.scoring.scored_view import NotApplicableError
 
@@ -106,5 +107,6 @@ def _heads(net: Net) -> list[Tensor]:
     if package is None or not package.submodule_search_locations:
         raise BackboneUnavailableError("the lpips package, which holds the linear heads, is not installed")
     path = Path(package.submodule_search_locations[0]) / "weights" / "v0.1" / f"{net}.pth"
-    state = torch.load(path, map_location="cpu", weights_only=True)
+    with opened(path) as file:
+        state = torch.load(file, map_location="cpu", weights_only=True)
     return [state[f"lin{i}.model.1.weight"] for i in range(len(SPECS[net].ends))]

@@ -59,6 +59,7 @@ class Scorer:
         self.settings = Convention(ssim_border, self.lpips)
         self.lpips_range: Range = lpips_range
         self.lpips_options = lpips
+        self.no_lpips = ""  # why no backbone may be read, if so
         self.missing: dict[str, str] = {}  # metric → why it is n/a
 
     def score(
@@ -102,6 +103,8 @@ class Scorer:
     def _lpips(self) -> LPIPS | BackboneUnavailableError:
         options = self.lpips_options
         try:
+            if self.no_lpips:
+                raise BackboneUnavailableError(self.no_lpips)
             return LPIPS(options.net, self.lpips_range, options.weights, options.download)
         except BackboneUnavailableError as error:
             return error

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,6 +45,14 @@ class Pack:
     def page(self) -> str:
         return f"packs/{self.sha256[: manifest.SHOWN]}.html"
 
+    @property
+    def commands(self) -> list[str]:
+        """The command lines that check the pack, to be pasted into a shell."""
+        file = f"./{self.name}" if self.name.startswith("-") else self.name
+        words = [("verify", file), ("compare", file, "results/ours"),
+                 ("unpack", file, f"results/{self.manifest.experiment}")]  # fmt: skip
+        return [shlex.join(["tdgbench", *one]) for one in words]
+
     def mean_of(self, dataset: str) -> str:
         """Return the scenes that averages of a data set are over."""
         return ", ".join(sorted({cell.record.scene for cell in self.cells if cell.record.dataset == dataset}))
@@ -65,6 +74,7 @@ class Row:
     column: str  # the method with its points and overrides
     records: list[Record]
     scores: list[dict[str, Any]]
+    truths: frozenset[int] = frozenset()  # numbers of `truth_groups`, of its cells
 
     @property
     def is_average(self) -> bool:
@@ -77,10 +87,8 @@ class Row:
     @property
     def measured_on(self) -> set[str]:
         """What the scores of its cells were measured on, as text."""
-        return {
-            json.dumps([record.data.split("-")[0], *(getattr(record, name) for name in MEASURED_ON)], sort_keys=True)
-            for record in self.records
-        }
+        fields = [[r.data.split("-")[0], *(getattr(r, name) for name in MEASURED_ON)] for r in self.records]
+        return {json.dumps([*values, sorted(self.truths)], sort_keys=True) for values in fields}
 
 
 def scene_page(dataset: str, scene: str) -> str:
@@ -122,8 +130,11 @@ def _read(path: Path, folder: Path, content: Manifest, sha256: str) -> Pack:
     return Pack(path.name, path.stat().st_size, sha256, content, plan, items, tables, cells)
 
 
-def rows_of(pack: Pack) -> list[Row]:
-    """Return the rows of a pack: scenes that a method's column has a finished cell of, and averages over several."""
+def rows_of(pack: Pack, truths: Mapping[Path, int]) -> list[Row]:
+    """Return the rows of a pack: scenes that a method's column has a finished cell of, and averages over several.
+
+    truths: `truth_groups` of the cells of all packs.
+    """
     main = pack.tables.main
     protocols = main.set_index(["dataset", "scene", "method"])["protocol"].to_dict()
     scenes = {(cell.record.dataset, cell.record.scene) for cell in pack.cells}
@@ -135,15 +146,16 @@ def rows_of(pack: Pack) -> list[Row]:
         if is_shown and any(cell["text"] != "n/a" for cell in place["cells"]):
             numbers = zip(COLUMNS, place["cells"], strict=True)
             scores = [{**cell, "published": _published(pack, key, metric)} for metric, cell in numbers]
-            records = [
-                cell.record
+            cells = [
+                cell
                 for cell in pack.cells
                 if method_label(cell.record, with_init=True) == column
                 and cell.record.dataset == dataset
                 and scene in (cell.record.scene, AVERAGE)
             ]
+            records, found = [cell.record for cell in cells], frozenset(truths[cell.folder] for cell in cells)
             settings, method = protocol_settings(records[0].config), records[0].method
-            rows.append(Row(pack, protocols[key], settings, dataset, scene, method, column, records, scores))
+            rows.append(Row(pack, protocols[key], settings, dataset, scene, method, column, records, scores, found))
     return rows
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from tdgbench.bench.ground_truth import truth_groups
 from tdgbench.bench.key import flat
 from tdgbench.files import whole_folder
 from tdgbench.packs.manifest import SHOWN
@@ -35,7 +36,8 @@ def write_site(packs: Sequence[Pack], folder: Path) -> int:
     """
     if folder.exists():
         raise FileExistsError(f"{folder} is there already; remove it, or name a new folder")
-    rows = [row for pack in packs for row in rows_of(pack)]
+    truths = truth_groups({cell.folder: cell.record for pack in packs for cell in pack.cells})
+    rows = [row for pack in packs for row in rows_of(pack, truths)]
     if not rows:
         raise ValueError("the packs hold no finished cell")
     site = _Site(packs, rows)

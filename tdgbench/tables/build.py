@@ -68,6 +68,7 @@ def _main(results: Results, experiment: Path) -> Tables:
     records, plan = results.records, results.plan
     bold = with_bold(with_averages(scene_rows(records, plan)))
     main = bold.merge(over_seeds(records, plan), on=KEYS, how="left")
+    main["seeds"] = main["seeds"].fillna(0).astype(int)
     main = with_protocols(main.merge(intervals(records, experiment), on=KEYS, how="left"), records)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None

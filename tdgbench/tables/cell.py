@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 
 from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.read_files import check_regular
+from tdgbench.bench.read_files import read_text
 from tdgbench.bench.record import Record
 from tdgbench.bench.scores import read_views
 from tdgbench.scoring import METRICS
@@ -79,8 +80,7 @@ def _views(path: Path) -> pd.DataFrame | None:
 @cache
 def _log(path: Path) -> pd.DataFrame | None:
     try:
-        check_regular(path)
-        log = pd.read_csv(path).apply(pd.to_numeric, errors="coerce")
+        log = pd.read_csv(io.StringIO(read_text(path))).apply(pd.to_numeric, errors="coerce")
     except (OSError, ValueError):  # pandas raises ValueError for what is no table
         return None
     return log if len(log) and {"iteration", "seconds", "smoothed_psnr"} <= set(log.columns) else None

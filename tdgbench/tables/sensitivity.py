@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from skimage.metrics import structural_similarity
 
-from tdgbench.bench.metric_settings import metric_settings
+from tdgbench.bench.metric_settings import metric_settings, why_no_lpips
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import Record
 from tdgbench.bench.renders import stored_view
@@ -28,7 +28,7 @@ from tdgbench.scoring.metric import ImageMetric
 from tdgbench.scoring.metrics.channel_psnr import channel_psnr
 from tdgbench.scoring.metrics.psnr import psnr_of
 from tdgbench.scoring.metrics.psnr_affine import psnr_affine
-from tdgbench.scoring.scored_view import Border, Convention, ImagePair, NotApplicableError, at_valid
+from tdgbench.scoring.scored_view import Border, Convention, ConventionName, ImagePair, NotApplicableError, at_valid
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.measures import MEASURES
 
@@ -176,12 +176,18 @@ def _scorer(record: Record, weights: Weights, lpips_range: Range | None = None, 
     """Return the record's scorer, or one with another range or network; nothing is downloaded."""
     settings = metric_settings(record.setting("metrics"))
     lpips = settings["lpips"]
-    net, recorded = net or lpips["net"], lpips["weights"] if net is None else None
-    options = LPIPSOptions(net, weights.get(net, recorded), download=False)
-    return _shared(settings["convention"], settings["ssim_border"], lpips_range or settings["lpips_range"], options)
+    options = LPIPSOptions(net or lpips["net"], weights.get(net or lpips["net"]), download=False)
+    convention = settings["convention"], settings["ssim_border"], lpips_range or settings["lpips_range"]
+    why_not = "" if net or options.weights else why_no_lpips(lpips, None)
+    return _shared(*convention, options, why_not)
 
 
-_shared = cache(Scorer)  # loads its network once for all cells
+@cache
+def _shared(convention: ConventionName, border: Border, lpips_range: Range, lpips: LPIPSOptions, why: str) -> Scorer:
+    """Return a scorer that loads its network once for all cells. why: it has none."""
+    scorer = Scorer(convention, border, lpips_range, lpips)
+    scorer.no_lpips = why
+    return scorer
 
 
 def _uniform_ssim(pair: ImagePair) -> float:

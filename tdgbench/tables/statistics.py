@@ -43,7 +43,7 @@ def mean_interval(values: np.ndarray) -> tuple[float, float, float]:
 
 def over_seeds(records: list[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
     """Return KEYS, seeds, std: the sample standard deviation over seeds, averages included (NaN below two)."""
-    seeds = sorted({record.seed for record in records})
+    seeds = sorted({record.seed for record in records if record.failure is None})
     parts = [with_averages(scene_rows([r for r in records if r.seed == seed], plan, init)) for seed in seeds]
     if not parts:
         return pd.DataFrame(columns=[*KEYS, "seeds", "std"])

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import torch
 
-from tdgbench.files import whole_file
+from tdgbench.files import opened, whole_file
+from tdgbench.tensors import load_tensors
 from tdgbench.training.loop import LogLine, TrainingLog
 from tdgbench.training.part import State
 from tdgbench.training.trainer import Trainer
@@ -52,7 +53,7 @@ class Checkpoint:
         if os.path.lexists(self.path):
             try:
                 log = self._load(self._read())
-            except Exception as error:  # torch documents no exception types for foreign files
+            except Exception as error:  # parts may raise anything
                 self.notes.append(f"a checkpoint was not used: {error or type(error).__name__}")
                 trainer.restart()
         self._next = log.seconds + (self.seconds or 0.0)
@@ -84,11 +85,9 @@ class Checkpoint:
 
     def _read(self) -> State:
         """Return the stored content. Raises ValueError if the file is not whole or is of another training."""
-        if not self.path.is_file():
-            raise ValueError(f"{self.path} is not a file")
         if not _ends_with_digest(self.path):
             raise ValueError("it is damaged")
-        saved: State = torch.load(self.path, weights_only=True, mmap=True, map_location="cpu")
+        saved: State = load_tensors(self.path, mapped=True)
         before, at = saved["made_with"], saved["log"]["iterations"]
         differs = [k for k in sorted({*before, *self.made_with}) if before.get(k) != self.made_with.get(k)]
         if differs:
@@ -108,7 +107,7 @@ class Checkpoint:
 def _digest(path: Path, size: int) -> bytes:
     """Return the SHA-256 of the first bytes of a file."""
     digest = hashlib.sha256()
-    with path.open("rb") as file:  # a mapping would count as memory of the process
+    with opened(path) as file:  # a mapping would count as memory of the process
         for start in range(0, size, READ_BYTES):
             digest.update(file.read(min(READ_BYTES, size - start)))
     return digest.digest()
@@ -116,9 +115,9 @@ def _digest(path: Path, size: int) -> bytes:
 
 def _ends_with_digest(path: Path) -> bool:
     """Return whether the last bytes of a file are the digest of all before them."""
-    size = path.stat().st_size - DIGEST_BYTES
-    if size <= 0:
-        return False
-    with path.open("rb") as file:
+    with opened(path) as file:
+        size = file.seek(0, os.SEEK_END) - DIGEST_BYTES
+        if size <= 0:
+            return False
         file.seek(size)
         return file.read() == _digest(path, size)

@@ -16,6 +16,7 @@ from tdgbench.verify import facts
 from tdgbench.verify.pictures import StoredPictures, picture_problems
 from tdgbench.verify.problems import Problems
 from tdgbench.verify.scores import mask_problems, mean_problems, score_problems
+from tdgbench.verify.truth import truth_problems
 
 UNKNOWN = {"method": "", "dataset": "", "scene": "", "init": "", "seed": 0, "experiment": "", "variant": ""}
 
@@ -49,8 +50,11 @@ def read_log(folder: Path) -> list[dict[str, float]]:
     return [{name: finite_field(text, name) for name, text in zip(names, row, strict=False)} for row in rows[1:]]
 
 
-def verify_cell(folder: Path) -> list[str]:
-    """Return the problems of one cell, in words; of a failed cell, only those of its record."""
+def verify_cell(folder: Path, weights: Path | None = None) -> list[str]:
+    """Return the problems of one cell, in words; of a failed cell, only those of its record.
+
+    weights: file of LPIPS's backbone, for records of a file of their own.
+    """
     problems = Problems()
     cell = problems.read(FILE, read_cell, folder)
     if cell is None:
@@ -80,5 +84,6 @@ def verify_cell(folder: Path) -> list[str]:
     pictures = StoredPictures(folder, record, cameras, problems)
     pictures.check_renders()
     problems.check("its masks", mask_problems, record, pictures)
-    problems.check("scores", score_problems, record, rows, pictures)
+    problems.check("scores", score_problems, record, rows, pictures, weights)
+    problems.check("its ground truth", truth_problems, folder, record)
     return problems.all

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import NamedTuple
 
+from tdgbench.bench.known_classes import add_trust_arguments, trust
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.plan import read_plan
 from tdgbench.bench.record import FILE, no_records, record_files
@@ -15,62 +16,96 @@ from tdgbench.terminal import say
 from tdgbench.text import one_line
 from tdgbench.verify.cell import read_cell, verify_cell
 from tdgbench.verify.facts import place_problems
-from tdgbench.verify.problems import Problems
+from tdgbench.verify.problems import NotCheckedError, Problems
+from tdgbench.verify.truth import data_problems, true_data
 
+MOST_SHOWN = 500  # problems on the terminal
 OF_A_CELL = (*files_of(THERMAL), "views.csv", "cameras.json")
 
 
 class Verification(NamedTuple):
-    """Number of cells, how many of them are finished, and every problem in words."""
+    """Number of cells, how many of them are finished, and every problem in words.
+
+    checked: finished cells whose ground truth was compared with data. why_not: of the others, each reason once.
+    """
 
     cells: int
     finished: int
     problems: list[str]
+    checked: int = 0
+    why_not: tuple[str, ...] = ()
+
+    @property
+    def of_data(self) -> str:
+        """What is known of the ground truth, in words."""
+        if self.checked == self.finished:
+            return "the ground truth was compared with the data"
+        some = f"of {self.checked} cells alone" if self.checked else "of no cell"
+        return f"the ground truth was compared with the data {some}{'; '.join(['', *self.why_not])}"
 
 
 def main(arguments: list[str]) -> int:
     """Run the tool; return the exit status: 1 with a problem, without a finished cell, or without records."""
-    description = "Check results against their records: hashes, renders, scores, counts."
+    description = "Check results against their records: hashes, renders, scores, counts; ground truth against the data."
     parser = argparse.ArgumentParser(prog="tdgbench verify", description=description)
     parser.add_argument("experiment", nargs="+", type=Path, help="folder results/<experiment>, or a pack")
-    status = 0
-    for experiment in parser.parse_args(arguments).experiment:
+    parser.add_argument("--data", type=Path, metavar="DIR", help="folder of the data sets, as data.root; built-in "
+                        "scenes need none")  # fmt: skip
+    parser.add_argument("--weights", type=Path, metavar="FILE", help="LPIPS's backbone, where scores are of a file")
+    add_trust_arguments(parser)
+    options, status = parser.parse_args(arguments), 0
+    for experiment in options.experiment:
         try:
+            trust(options)
             with opened_pack(experiment) as folder:
-                verified = verify(folder)
+                verified = verify(folder, options.data, options.weights)
         except (ValueError, OSError) as error:
             say(one_line(f"tdgbench verify: {error}"), stderr=True)
             status = 1
             continue
-        for problem in verified.problems:
+        for problem in verified.problems[:MOST_SHOWN]:
             say(one_line(problem), "problem:")
+        if len(verified.problems) > MOST_SHOWN:
+            say(f"{len(verified.problems) - MOST_SHOWN} more, which are not printed", "problem:")
         few = verified.finished < verified.cells
         unfinished = f", {verified.finished or 'none'} of them finished" if few else ""
         n, m = verified.cells, len(verified.problems)
         say(one_line(f"{experiment}: {n} cell{'s' * (n != 1)}{unfinished}, {m} problem{'s' * (m != 1)}"))
+        if verified.finished:
+            say(one_line(verified.of_data), "data:")
         status |= bool(verified.problems) or not verified.finished
     return status
 
 
-def verify(experiment: Path) -> Verification:
-    """Check every cell of an experiment. Raises ValueError if there are none."""
+def verify(experiment: Path, data: Path | None = None, weights: Path | None = None) -> Verification:
+    """Check every cell of an experiment. Raises ValueError if there are none.
+
+    data: folder of the data sets, with which the ground truth is compared; built-in scenes need none. weights: as
+    `verify_cell`.
+    """
     records, lost = record_files(experiment), _without_record(experiment)
     if not records and not lost:
         raise no_records(experiment)
-    of_plan, finished = Problems(), 0
+    of_plan, finished, checked, why_not = Problems(), 0, 0, dict[str, None]()
     of_plan.read("its plan", read_plan, experiment)
     problems = of_plan.all
-    for folder in (path.parent for path in records):
-        found = Problems()
-        cell = found.read(FILE, read_cell, folder)
-        if cell is not None:
-            finished += cell.record.status == "ok"
-            found.check("its folder", place_problems, folder, cell.record)
-            found.all += [problem for problem in verify_cell(folder) if problem not in found.all]
-        name = folder.relative_to(experiment / "cells").as_posix()
-        problems += [f"{name}: {problem}" for problem in found.all]
+    with true_data(data) as true:
+        for folder in (path.parent for path in records):
+            found = Problems()
+            cell = found.read(FILE, read_cell, folder)
+            if cell is not None:
+                found.check("its folder", place_problems, folder, cell.record)
+                found.all += [problem for problem in verify_cell(folder, weights) if problem not in found.all]
+            if cell is not None and cell.record.status == "ok":
+                finished += 1
+                try:
+                    checked += found.check("its ground truth", data_problems, folder, cell.record, true)
+                except NotCheckedError as reason:
+                    why_not[str(reason)] = None
+            name = folder.relative_to(experiment / "cells").as_posix()
+            problems += [f"{name}: {problem}" for problem in found.all]
     problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {FILE} is missing" for folder in lost]
-    return Verification(len(records), finished, problems)
+    return Verification(len(records), finished, problems, checked, tuple(why_not))
 
 
 def _without_record(experiment: Path) -> list[Path]:

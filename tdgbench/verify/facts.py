@@ -88,7 +88,7 @@ def model_problems(folder: Path, record: Record) -> Iterator[str]:
             yield f"{FILE}: gaussians has no count for {name}"
             continue
         try:
-            rows = count_rows(folder / name)
+            rows = count_rows(folder / name, folder)
             if rows != count:
                 yield f"{FILE}: gaussians has {count} for {name}, which holds {rows}"
         except (OSError, ValueError) as error:

@@ -9,6 +9,7 @@ import numpy as np
 
 from tdgbench.bench import masks, stored_parts
 from tdgbench.bench.cameras import Cameras
+from tdgbench.bench.ground_truth import MAX_DIFFERENT
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.renders import DETERMINACY, response_of
@@ -18,7 +19,6 @@ from tdgbench.splats.view import Render
 from tdgbench.verify.problems import Problems
 
 ROUNDING = 0.01  # levels; float32 renders of one model differ by 1e-4
-MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: processors round differently
 
 
 def picture_problems(names: Iterable[str], views: list[str]) -> Iterator[str]:

@@ -9,7 +9,12 @@ from tdgbench.scoring.scored_view import NotApplicableError
 
 P = ParamSpec("P")
 T = TypeVar("T")
+FAILURES = (Exception, SystemExit)  # a user's method may end the process, which is no success
 SAYS_ENOUGH = (ValueError, OSError, NotApplicableError)  # their message needs no type
+
+
+class NotCheckedError(Exception):
+    """A check was not made, which is no problem. The message says why."""
 
 
 class Problems:
@@ -18,19 +23,26 @@ class Problems:
     def __init__(self) -> None:
         self.all: list[str] = []
 
-    def check(self, what: str, problems: Callable[P, Iterable[str]], *args: P.args, **kwargs: P.kwargs) -> None:
-        """Add the problems that a check finds. An error ends this check alone and is a problem of `what`."""
+    def check(self, what: str, problems: Callable[P, Iterable[str]], *args: P.args, **kwargs: P.kwargs) -> bool:
+        """Add the problems that a check finds; return whether it came to its end.
+
+        An error ends this check alone and is a problem of `what`. Raises NotCheckedError if the check does.
+        """
         try:
             for problem in problems(*args, **kwargs):
                 self._add(problem)
-        except Exception as error:
+        except NotCheckedError:
+            raise
+        except FAILURES as error:
             self._add(f"{what} cannot be checked: {reason(error)}")
+            return False
+        return True
 
     def read(self, what: str, reader: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T | None:
         """Return the value of a reader; None, and a problem, if it raises."""
         try:
             return reader(*args, **kwargs)
-        except Exception as error:
+        except FAILURES as error:
             self._add(f"{what} cannot be read: {reason(error)}")
             return None
 
@@ -39,7 +51,7 @@ class Problems:
             self.all.append(problem)
 
 
-def reason(error: Exception) -> str:
+def reason(error: BaseException) -> str:
     """Return an error in words.
 
     >>> reason(FileNotFoundError()), reason(KeyError("x"))

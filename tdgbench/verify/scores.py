@@ -11,16 +11,14 @@ import numpy as np
 
 from tdgbench.bench.masks import masked_share
 from tdgbench.bench.metric_settings import metric_settings, scorer_of
-from tdgbench.bench.read_files import check_regular
 from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import Row
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, RenderedImages
-from tdgbench.scoring.backbones import BackboneUnavailableError, own_weights
+from tdgbench.scoring.backbones import BackboneUnavailableError
 from tdgbench.scoring.metric import ImageMetric, Metric
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
 from tdgbench.verify.pictures import StoredPictures
-from tdgbench.verify.problems import reason
 
 TOLERANCE = 1e-6  # of means
 
@@ -50,13 +48,16 @@ def mask_problems(record: Record, pictures: StoredPictures) -> Iterator[str]:
         yield f"{FILE}: masked.test is {recorded}, the cell's masks give {found}"
 
 
-def score_problems(record: Record, rows: dict[str, Row] | None, pictures: StoredPictures) -> Iterator[str]:
+def score_problems(
+    record: Record, rows: dict[str, Row] | None, pictures: StoredPictures, weights: Path | None
+) -> Iterator[str]:
     """Yield scores that differ from those of the stored pictures and models.
 
+    weights: file of LPIPS's backbone, for records of a file of their own; nothing is downloaded.
     Metrics with `verified_to` are computed again. n/a is a problem where the files alone give a value; it is none where
     only weights of a backbone were missing.
     """
-    convention = _convention(record)
+    convention = scorer_of(metric_settings(record.setting("metrics")), weights=weights).settings
     metrics = [one for one in METRICS.values() if one.verified_to is not None and one.name in record.scores]
     if len(pictures.depths) < len(pictures.cameras):  # reported elsewhere; neighbours and depths are not known
         metrics = [metric for metric in metrics if isinstance(metric, ImageMetric)]
@@ -95,22 +96,6 @@ def _again(metric: Metric, shown: ScoredView, stored: float | None) -> tuple[flo
         return metric.score(shown), ""
     except NotApplicableError as error:
         return None, "" if stored is None else f"{metric.name} cannot be computed again: {error}"
-
-
-def _convention(record: Record) -> Convention:
-    """Return the recorded convention; nothing is downloaded. Raises ValueError for settings that are unknown."""
-    settings = metric_settings(record.setting("metrics"))
-    net, weights = settings["lpips"]["net"], settings["lpips"]["weights"]
-    try:
-        if weights is not None:
-            check_regular(Path(weights))
-        if own_weights(net, weights) != settings["lpips"].get("weights_sha256", own_weights(net, weights)):
-            raise ValueError("it is not the file that the scores were made with")
-    except (OSError, ValueError) as error:
-        return Convention(
-            settings["ssim_border"], partial(_unusable, f"metrics.lpips.weights={weights}: {reason(error)}")
-        )
-    return scorer_of(settings).settings
 
 
 def _unusable(why: str, image: np.ndarray, target: np.ndarray) -> float:

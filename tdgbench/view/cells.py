@@ -11,6 +11,7 @@ import numpy as np
 
 from tdgbench.bench import stored_parts
 from tdgbench.bench.cameras import read_cameras
+from tdgbench.bench.known_classes import UnknownMethodError
 from tdgbench.bench.paths import files_of
 from tdgbench.bench.read_files import read_picture
 from tdgbench.bench.record import FILE, Record, read_record, record_files
@@ -34,7 +35,7 @@ class ViewedCell:
     train: dict[str, Camera]  # by view
     test: dict[str, Camera]
     method: StoredMethod | None = None  # that renders more than the Gaussians of the models; None: these are all
-    state: str = ""  # of a cell that is followed, in words
+    state: str = ""  # of a cell that is followed, or that is not shown whole, in words
 
     @property
     def modalities(self) -> list[str]:
@@ -110,8 +111,13 @@ def open_cell(folder: Path) -> ViewedCell:
     try:
         cameras = read_cameras(folder)
         paths = {modality: folder / files_of(modality).model for modality in LABELS}
-        models = {modality: load_ply(path) for modality, path in paths.items() if path.exists()}
-        method = StoredMethod(folder, record, cameras) if (folder / stored_parts.FILE).exists() else None
+        models = {modality: load_ply(path, folder) for modality, path in paths.items() if path.exists()}
+        method, state = None, ""
+        if (folder / stored_parts.FILE).exists():
+            try:
+                method = StoredMethod(folder, record, cameras)
+            except UnknownMethodError as error:
+                state = f"its Gaussians alone, not what its method renders: {error}"
     except (ValueError, OSError) as error:
         raise ValueError(f"{folder} cannot be shown: {error}") from error
     if THERMAL not in models or not cameras["test"]:
@@ -119,7 +125,7 @@ def open_cell(folder: Path) -> ViewedCell:
         if method is not None and THERMAL not in models:
             lacking = "Gaussians: its renders are images, which the report shows"
         raise ValueError(f"{folder} cannot be shown: it lacks {lacking}")
-    return ViewedCell(folder, record, models, cameras["train"], cameras["test"], method=method)
+    return ViewedCell(folder, record, models, cameras["train"], cameras["test"], method, state)
 
 
 def short_names(records: Sequence[Record]) -> list[str]:

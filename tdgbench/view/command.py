@@ -10,6 +10,7 @@ import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 
+from tdgbench.bench.known_classes import add_trust_arguments, trust
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 from tdgbench.view.cells import open_cell, open_cells
@@ -37,8 +38,10 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "--max-mb", metavar="N", type=_whole_number(1, 150), default=MAX_MB, help=f"its largest size ({MAX_MB})"
     )
+    add_trust_arguments(parser)
     options = parser.parse_args(arguments)
     try:
+        trust(options)
         if len(options.cell) > 1 and (options.export or options.follow):
             raise ValueError(f"--{'export' if options.export else 'follow'} takes one folder, not {len(options.cell)}")
         if options.export:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from markupsafe import Markup
 
-from tdgbench.bench import colours
+from tdgbench.bench import colours, stored_parts
 from tdgbench.bench.renders import background_of
 from tdgbench.files import write_text
 from tdgbench.report.page import environment
@@ -31,7 +31,7 @@ def export(cell: ViewedCell, path: Path, max_mb: int) -> str:
     """
     if path.suffix != ".html":
         raise ValueError(f"--export {path}: the file's name must end in .html")
-    if cell.method is not None:
+    if (cell.folder / stored_parts.FILE).exists():
         raise ValueError(
             f"{cell.folder} cannot be exported: {cell.record.method} renders more than Gaussians (parts.pt); "
             "tdgbench view without --export shows it"

@@ -8,11 +8,13 @@ import stat
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from tdgbench.bench.record import read_each
-from tdgbench.packs import manifest, opened_pack, pack, unpack
+from tdgbench.files import MB
+from tdgbench.packs import limits, manifest, opened_pack, pack, unpack
 from tdgbench.packs.checklist import checklist
 from tdgbench.verify import verify
 from tests.helpers.command import tdgbench_here
@@ -114,7 +116,7 @@ RECORD, RENDER = f"{CELL}/record.json", f"{CELL}/renders/view000.png"
 TAMPERINGS = {  # those of a cell are in tests/verify/test_cell.py
     "a score": at(RECORD, edited(score)),
     "no render": without(RENDER),
-    "a file more": added(f"{CELL}/notes.txt"),
+    "a file more": added(f"{CELL}/masks/view000.png"),
 }
 
 
@@ -151,7 +153,7 @@ BROKEN = {
     "no manifest": (without(manifest.FILE), "has no manifest"),
     "a manifest that is none": (at(manifest.FILE, lambda data: b"[]"), "manifest"),
     "a smaller size": (of_manifest(lambda m: m["files"][RENDER].update(size=9)), "larger than 9 bytes"),
-    "a larger size": (of_manifest(lambda m: m["files"][RENDER].update(size=10**9)), "not what the manifest states"),
+    "a larger size": (of_manifest(lambda m: m["files"][RENDER].update(size=10**7)), "not what the manifest states"),
 }
 
 
@@ -171,15 +173,96 @@ def test_two_files_of_one_name(packed, tmp_path):
 
 
 def test_links_are_refused(packed, tmp_path):
-    shutil.copy(packed, tmp_path / "b.zip")
-    link = zipfile.ZipInfo("link")
+    link = zipfile.ZipInfo(RENDER)
     link.external_attr = (stat.S_IFLNK | 0o777) << 16
-    content = fits({**entries(packed), "link": b"/etc/passwd"})
+    content = fits({**entries(packed), RENDER: b"/etc/passwd"})
     with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
         for name, data in content.items():
-            archive.writestr(link if name == "link" else name, data)
-    with pytest.raises(ValueError, match="link is no regular file"):
+            archive.writestr(link if name == RENDER else name, data)
+    with pytest.raises(ValueError, match=r"view000\.png is no regular file"):
         unpack(tmp_path / "b.zip", tmp_path / "theirs")
+
+
+STRANGERS = ["mine.py", f"{CELL}/mine.py", f"{CELL}/model.so", f"{CELL}/renders/a.pth", f"{CELL}/more/renders/a.png",
+             "cells/record.json", "record.json", "cells/a b/c/d/e/f/record.json", f"{CELL}/renders/a\nb.png",
+             f"{CELL}/renders/{'a' * 300}.png", "cells/$(x)/c/d/e/f/record.json", "checkpoints/a.pt"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", STRANGERS)
+def test_files_that_no_cell_has_are_refused(packed, tmp_path, name):
+    changed = write(tmp_path / "b.zip", fits({**entries(packed), name: b"x"}))
+    with pytest.raises(ValueError, match=r"manifest\.json: "):
+        unpack(changed, tmp_path / "theirs")
+
+
+@pytest.mark.parametrize("name", ["a\nb", "a;b", "$(b)", "`b`", "-rf", ".a", "a'b", "a" * 200, ""])
+def test_names_of_experiments_are_of_an_alphabet(packed, tmp_path, name):
+    changed = write(tmp_path / "b.zip", of_manifest(lambda m: m.update(experiment=name))(entries(packed)))
+    with pytest.raises(ValueError, match=r"manifest\.json\.experiment"):
+        unpack(changed, tmp_path / "theirs")
+
+
+def test_an_experiment_with_another_name_is_packed_under_a_plain_one(small_results, tmp_path):
+    copy = Path(shutil.copytree(small_results, tmp_path / "it's; mine"))
+    content, _ = unpack(pack(copy, keep_paths=True)[0], tmp_path / "theirs")
+    assert content.experiment.startswith("it_s__mine~")
+
+
+def bomb(path: Path, packed: Path, name: str, size: int, method: int = zipfile.ZIP_DEFLATED) -> Path:
+    """A pack in which a file has so many zeros."""
+    content = fits({**entries(packed), name: bytes(size)})
+    with zipfile.ZipFile(path, "w", method) as archive:
+        for entry, data in content.items():
+            archive.writestr(entry, data)
+    return path
+
+
+def test_limits_are_checked_before_anything_is_unpacked(packed, tmp_path, monkeypatch):
+    """Bytes against those of the pack, files, the list of files, each kind of file, and the disk."""
+    model = f"{CELL}/model.ply"
+    with pytest.raises(ValueError, match=r"it would unpack to 2\d\d MB, more than 64 MB"):
+        unpack(bomb(tmp_path / "a.zip", packed, model, 200 * MB), tmp_path / "theirs")
+    with pytest.raises(ValueError, match=r"record\.json has 17 MB, more than 16 MB"):
+        unpack(bomb(tmp_path / "b.zip", packed, RECORD, 17 * MB), tmp_path / "theirs")
+    with pytest.raises(ValueError, match="in another way than by deflate"):
+        unpack(bomb(tmp_path / "c.zip", packed, model, 100, zipfile.ZIP_BZIP2), tmp_path / "theirs")
+    monkeypatch.setattr(limits, "MOST_FILES", 10)
+    with pytest.raises(ValueError, match="files, more than 10"):
+        unpack(packed, tmp_path / "theirs")
+    monkeypatch.setattr(limits, "MOST_DIRECTORY", 1000)
+    with pytest.raises(ValueError, match="its list of files has"):
+        unpack(packed, tmp_path / "theirs")
+    monkeypatch.undo()
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=100))
+    with pytest.raises(ValueError, match="the disk has 100 bytes left"):
+        unpack(packed, tmp_path / "theirs")
+    assert not (tmp_path / "theirs").exists()
+
+
+def test_a_member_that_holds_more_than_it_states_is_refused(packed, tmp_path):
+    path = bomb(tmp_path / "a.zip", packed, f"{CELL}/model.ply", 30 * MB)
+    stored, stated = path.read_bytes(), (30 * MB).to_bytes(4, "little")
+    assert stored.count(stated) == 2  # its own header, and the list's
+    path.write_bytes(stored.replace(stated, (1000).to_bytes(4, "little")))
+    with pytest.raises(ValueError, match=r"a\.zip is no pack, or"):
+        unpack(path, tmp_path / "theirs")
+
+
+@pytest.mark.parametrize("target", ["/etc/passwd", "../../../../../../../secret.ply"])
+def test_links_out_of_the_results_are_not_packed(small_results, tmp_path, target):
+    copy = Path(shutil.copytree(small_results, tmp_path / "a"))
+    (tmp_path / "secret.ply").write_text("mine")
+    (copy / CELL / "model.ply").unlink()
+    (copy / CELL / "model.ply").symlink_to(target)
+    with pytest.raises(ValueError, match=r"model\.ply cannot be packed: it leads out of its folder"):
+        pack(copy, keep_paths=True)
+
+
+def test_files_of_no_cell_are_not_packed(small_results, tmp_path):
+    copy = Path(shutil.copytree(small_results, tmp_path / "a"))
+    (copy / CELL / "notes.txt").write_text("mine")
+    with pytest.raises(ValueError, match=r"notes\.txt cannot be packed: .* is no file of a cell"):
+        pack(copy, keep_paths=True)
 
 
 @pytest.mark.parametrize("length", [0, 100, -30])

@@ -102,7 +102,7 @@ def test_what_is_there_is_not_computed_again(experiment, monkeypatch, capsys):
     words = ("metrics.lpips.net=squeeze", f"metrics.lpips.weights={weights}")
     assert score(experiment, "b", *words) == 0
     out = experiment.with_name("b")
-    assert record_of(out / MSMG).scores["lpips"] > 0 and verify(out).problems == []
+    assert record_of(out / MSMG).scores["lpips"] > 0 and verify(out, weights=weights).problems == []
     monkeypatch.setattr(Scorer, "lpips", lambda *_: pytest.fail("scored again"))
     monkeypatch.setattr(rescore_cell, "_write", lambda *_: pytest.fail("written again"))
     capsys.readouterr()
@@ -194,12 +194,15 @@ def test_weights_that_were_replaced_are_refused(msmg, capsys, monkeypatch):
     weights = msmg.with_name("squeeze.pth")
     torch.save({f"features.{name}": value for name, value in random_state("squeeze").items()}, weights)
     assert score(msmg, "b", "metrics.lpips.net=squeeze", f"metrics.lpips.weights={weights}") == 0
+    assert verify(msmg.with_name("b"), weights=weights).problems == []
     weights.write_bytes(b"another")
     os.utime(weights, (1, 1))
-    assert any("it is not the file that the scores were made with" in p for p in verify(msmg.with_name("b")).problems)
-    monkeypatch.setattr(rescore_cell, "VERSION", 2)
-    assert score(msmg.with_name("b"), "c") == 1
-    assert "squeeze.pth is not the file of the first scores" in capsys.readouterr().out
+    problems = verify(msmg.with_name("b"), weights=weights).problems
+    assert any("squeeze.pth is not the file that the scores were made with" in problem for problem in problems)
+    monkeypatch.setattr(rescore_cell, "VERSION", 2)  # so that all is computed again
+    assert score(msmg.with_name("b"), "c") == 0
+    again = record_of(msmg.with_name("c") / MSMG)
+    assert again.scores["lpips"] is None and "a file of its own, squeeze.pth; name it" in again.missing["lpips"]
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import html
+import shlex
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -218,3 +220,23 @@ def test_in_a_browser_from_disk(site, tmp_path):
         assert page.run("document.querySelector('.slider .over').style.clipPath") != before
         page.call("Emulation.setDeviceMetricsOverride", width=400, height=800, deviceScaleFactor=1, mobile=False)
         assert page.run("document.documentElement.scrollWidth") <= 400
+
+
+def test_commands_are_quoted(small_results, tmp_path):
+    """They are pasted into a shell, and a pack may have any name on a disk."""
+    path = tmp_path / "-a; $(touch x) `y` 'z'.zip"
+    pack(small_results, path, keep_paths=True)
+    folder = make(tmp_path / "site", path)
+    (page,) = (folder / "packs").glob("*.html")
+    text = html.unescape(page.read_text()).split('tabindex="0">')[1].split("</pre>")[0]
+    words = [shlex.split(line) for line in text.splitlines()]
+    assert words[0] == ["tdgbench", "verify", f"./{path.name}"] and words[1][2] == f"./{path.name}"
+    assert words[2] == ["tdgbench", "unpack", f"./{path.name}", f"results/{small_results.name}"]
+
+
+@pytest.mark.parametrize("psnr", [1e7, -1e12])
+def test_absurd_scores_have_a_site(tmp_path, psnr):
+    for method, value in (("tdg", 20.0), ("msmg", psnr)):
+        write(tmp_path / "a", method, "Truck", scores={"psnr": value}, seconds={"train": 9.0})
+    site = make(tmp_path / "site", pack(tmp_path / "a", tmp_path / "a.zip", keep_paths=True)[0])
+    assert (site / "index.html").stat().st_size < MEGABYTE

@@ -18,6 +18,8 @@ from PIL import Image
 from tdgbench.bench.key import cell_key
 from tdgbench.bench.record import Record
 from tdgbench.bench.stored import hashes
+from tdgbench.files import sha256_of
+from tdgbench.scoring import backbones
 from tdgbench.verify import verify_cell
 
 VIEW = "view000"
@@ -236,7 +238,11 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
         instead(f"renders/{VIEW}.png", lambda p: p.symlink_to(p)), f"{VIEW}.png cannot be read: it cannot", False),
     "picture of another size": (
         lambda c: Image.new("L", (99, 36)).save(c / f"targets/{VIEW}.png"), "it is 99×36 px, its camera 48×36", True),
-    "camera device": (instead("cameras.json", lambda p: p.symlink_to("/dev/zero")), "it is a device", False),
+    "camera device": (instead("cameras.json", lambda p: p.symlink_to("/dev/zero")), "leads out of its folder", False),
+    "a link to a picture elsewhere": (
+        instead(f"renders/{VIEW}.png", lambda p: p.symlink_to("/usr/a.png")), "it leads out of its folder", False),
+    "PSNR beyond any": (field("psnr", "1e300"), "psnr of view000 is '1e300', which is no finite number up to", True),
+    "another ground truth": (edit(truth={VIEW: "0" * 64}), "is not the ground truth that was scored", False),
 }  # fmt: skip
 
 
@@ -259,11 +265,29 @@ def test_weights_that_are_unusable_are_a_problem(cell, tmp_path, weights):
     os.mkfifo(tmp_path / "fifo")
     for name in ("text.pth", "text.npz"):
         (tmp_path / name).write_text("no weights")
-    with_key(edit(config__metrics__lpips__weights=str(tmp_path / weights), scores__lpips=0.1))(cell)
+    with_lpips(cell, str(tmp_path / "text.pth"), sha256_of(tmp_path / "text.pth"))
+    (problem,) = [one for one in verify_cell(cell, tmp_path / weights) if one.startswith("lpips cannot be computed ")]
+    assert weights in problem
+
+
+def test_weights_that_a_record_names_are_not_opened(cell, tmp_path, monkeypatch):
+    """Only those that the user names, and only if they are those of the record."""
+    (tmp_path / "vgg.pth").write_text("no weights")
+    with_lpips(cell, str(tmp_path / "vgg.pth"), "0" * 64)
+    monkeypatch.setattr(backbones, "opened", lambda *_: pytest.fail("opened"))
+    (problem,) = [one for one in verify_cell(cell) if one.startswith("lpips cannot be computed again: ")]
+    assert "a file of its own, vgg.pth; name it: --weights FILE" in problem
+    monkeypatch.undo()
+    (problem,) = [one for one in verify_cell(cell, tmp_path / "vgg.pth") if one.startswith("lpips cannot ")]
+    assert "vgg.pth is not the file that the scores were made with" in problem
+
+
+def with_lpips(cell: Path, weights: str, digest: str) -> None:
+    """Let the cell have an LPIPS of a backbone in a file of one's own."""
+    lpips = {"net": "vgg", "weights": weights, "weights_sha256": digest}
+    with_key(edit(config__metrics__lpips=lpips, scores__lpips=0.1))(cell)
     rows(lambda table: [row.__setitem__(3, "0.1") for row in table[1:]])(cell)
     assert table_of(cell)[0][3] == "lpips"
-    (problem,) = [one for one in verify_cell(cell) if one.startswith("lpips cannot be computed again: ")]
-    assert weights in problem
 
 
 def table_of(cell: Path) -> list[list[str]]:

@@ -19,12 +19,12 @@ def spoiled(small_results, tmp_path):
 
 
 def test_sound_results(small_results, capsys):
-    assert verify(small_results) == (4, 3, [])
+    assert verify(small_results) == (4, 3, [], 3, ())
     assert main([str(small_results)]) == 0 and "4 cells, 3 of them finished, 0 problems" in capsys.readouterr().out
 
 
 def only_problem(experiment) -> str:
-    count, _, problems = verify(experiment)
+    count, _, problems, *_ = verify(experiment)
     assert count == 4 and len(problems) >= 1
     assert all(p.startswith("tdg/synthetic/turntable/colmap/seed0: ") for p in problems)
     return "\n".join(problems)
@@ -118,7 +118,7 @@ def test_folders_without_records_are_named_and_the_others_verified(small_results
 def test_failed_cells_alone_are_no_success(small_results, tmp_path, capsys):
     cells = Path("cells") / "tdg" / "synthetic" / "night"
     shutil.copytree(small_results / cells, tmp_path / cells)
-    assert verify(tmp_path) == (1, 0, [])
+    assert verify(tmp_path)[:3] == (1, 0, [])
     assert main([str(tmp_path)]) == 1 and "1 cell, none of them finished, 0 problems" in capsys.readouterr().out
 
 
@@ -135,7 +135,7 @@ def test_a_lost_record_and_a_moved_cell(spoiled):
     text = "\n".join(verify(experiment).problems)
     assert "seed1: record.json is of another cell: its folder is cells/tdg/synthetic/turntable/colmap/seed0" in text
     (cell.with_name("seed1") / "record.json").unlink()
-    assert verify(experiment) == (3, 2, ["tdg/synthetic/turntable/colmap/seed1: record.json is missing"])
+    assert verify(experiment)[:3] == (3, 2, ["tdg/synthetic/turntable/colmap/seed1: record.json is missing"])
 
 
 def test_a_broken_cell_hides_no_problem_of_the_others(spoiled, capsys):
@@ -144,6 +144,6 @@ def test_a_broken_cell_hides_no_problem_of_the_others(spoiled, capsys):
     other = experiment / "cells" / "tdg" / "synthetic" / "orbit" / "colmap" / "seed0"
     (other / "log.csv").unlink()
     (experiment / "cells" / "loop").symlink_to(experiment / "cells")
-    count, _, problems = verify(experiment)
+    count, _, problems, *_ = verify(experiment)
     assert count == 4 and len(problems) == 3
     assert [problem.split(":")[0].split("/")[2] for problem in problems] == ["orbit", "orbit", "turntable"]

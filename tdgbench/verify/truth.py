@@ -1,0 +1,104 @@
+"""The ground truth of a cell against the data that it is said to be of: built-in scenes, made again, or a folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from tdgbench.bench.cameras import read_cameras
+from tdgbench.bench.ground_truth import same_truth, stored_truth, truth_hash, truth_of
+from tdgbench.bench.known_classes import built, known_classes
+from tdgbench.bench.record import Record
+from tdgbench.scenes import SceneError
+from tdgbench.text import first_few
+from tdgbench.verify.problems import NotCheckedError
+
+BUILT_IN = "tdgbench.scenes.synthetic.SyntheticDataset"
+MOST_PIXELS = 2**24  # of all views of a built-in scene that is made again: half a minute
+NAME_IT = "name the folder of its data with --data DIR"
+
+
+class TrueData:
+    """The ground truth of test views as the data give it."""
+
+    def __init__(self, folder: Path | None, scratch: Path) -> None:
+        """folder: of the data sets; None: built-in scenes alone, which are made in `scratch`."""
+        self._folder, self._scratch = folder, scratch
+        self._read: dict[str, dict[str, np.ndarray]] = {}
+
+    def of(self, record: Record) -> dict[str, np.ndarray]:
+        """Return the ground truth of each test view of a record's scene.
+
+        Raises NotCheckedError where there are no data, ValueError or SceneError for data that cannot be read.
+        """
+        loader = record.setting("dataset")
+        is_built_in = isinstance(loader, dict) and loader.get("_target_") == BUILT_IN
+        root = self._folder or (self._scratch if is_built_in else None)
+        if root is None or not isinstance(loader, dict):
+            raise NotCheckedError(NAME_IT)
+        if is_built_in:
+            _check_amount(loader)
+        key = json.dumps([loader, record.scene, record.channels], sort_keys=True)
+        if key not in self._read:
+            dataset = built(_with_root(loader, str(root), record.channels), known_classes("dataset"))
+            self._read[key] = {view.name: truth_of(view) for view in dataset.load(record.scene).test}
+        return self._read[key]
+
+
+@contextmanager
+def true_data(folder: Path | None) -> Iterator[TrueData]:
+    """Yield the data. Raises ValueError for a folder that is not there."""
+    if folder is not None and not folder.is_dir():
+        raise ValueError(f"--data {folder} is no folder")
+    with TemporaryDirectory(prefix="tdgbench-") as scratch:
+        yield TrueData(folder, Path(scratch))
+
+
+def truth_problems(folder: Path, record: Record) -> Iterator[str]:
+    """Yield test views whose stored ground truth is not the one that the record was scored against.
+
+    Records of earlier versions do not say which that was.
+    """
+    for view, expected in record.truth.items():
+        if truth_hash(stored_truth(folder, view)) != expected:
+            yield f"targets/{view}.png is not the ground truth that was scored"
+
+
+def data_problems(folder: Path, record: Record, data: TrueData) -> Iterator[str]:
+    """Yield test views whose ground truth is not that of the data. Raises as `TrueData.of`."""
+    views = list(read_cameras(folder)["test"])
+    try:
+        truth = data.of(record)
+    except SceneError as error:
+        raise ValueError(str(error)) from error
+    unknown = set(views) ^ set(truth)
+    if unknown:
+        yield f"its test views are not those of the data: {first_few(unknown)}"
+    other = [view for view in views if view in truth and not same_truth(stored_truth(folder, view), truth[view])]
+    if other:
+        scene = f"{record.dataset}/{record.scene}"
+        yield f"the ground truth of {len(other)} of {len(views)} test views is not that of {scene}: {first_few(other)}"
+
+
+def _with_root(loader: dict[str, Any], root: str, channels: int) -> dict[str, Any]:
+    """Return the options of a loader, or of the innermost in it, with the folder of its data and its channels."""
+    if isinstance(loader.get("inner"), dict):
+        return {**loader, "inner": _with_root(loader["inner"], root, channels)}
+    options = loader.get("options")
+    known = {**options, "channels": channels} if isinstance(options, dict) and channels else options
+    return {**loader, "root": root, "options": known}
+
+
+def _check_amount(loader: dict[str, Any]) -> None:
+    """Raise NotCheckedError for a built-in scene that takes long to make."""
+    sizes = [loader.get(name, default) for name, default in (("width", 160), ("height", 120), ("views", 40))]
+    if not all(isinstance(size, int) and size > 0 for size in sizes) or np.prod(sizes, dtype=object) > MOST_PIXELS:
+        raise NotCheckedError(f"a scene of {'×'.join(map(str, sizes))} px and views takes long to make; {NAME_IT}")
+    if not isinstance(loader.get("points", 0), int) or loader.get("points", 0) > 10**6:
+        raise NotCheckedError(f"its points take long to make; {NAME_IT}")

@@ -1,0 +1,116 @@
+"""Ground truth is compared with the data: forged pictures, whose hashes and scores all fit, are found."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tdgbench.bench.ground_truth import same_truth, stored_truth, truth_hash, truth_hashes
+from tdgbench.bench.record import read_record
+from tdgbench.bench.stored import hashes
+from tdgbench.compare.command import main as compare
+from tdgbench.packs import pack
+from tdgbench.scoring.metrics.psnr import psnr_of
+from tdgbench.site.command import main as site
+from tdgbench.verify import truth, verify
+
+OURS = "cells/tdg/synthetic/turntable/colmap/seed0"
+
+
+@pytest.fixture
+def forged(small_results, tmp_path) -> Path:
+    """An experiment of one cell whose ground truth is its own render ± 1, with all that follows from it."""
+    experiment = tmp_path / "forged"
+    shutil.copytree(small_results / OURS, experiment / OURS)
+    forge(experiment / OURS)
+    return experiment
+
+
+def forge(cell: Path) -> None:
+    rng, scores = np.random.default_rng(0), {}
+    for path in sorted((cell / "renders").glob("*.png")):
+        render = np.asarray(Image.open(path)).astype(int)
+        target = np.clip(render + rng.integers(-1, 2, render.shape), 0, 255).astype(np.uint8)
+        Image.fromarray(target).save(cell / "targets" / path.name)
+        scores[path.stem] = float(psnr_of((((render - target) / 255) ** 2).mean()))
+    table = list(csv.reader((cell / "views.csv").read_text().splitlines()))
+    place = table[0].index("psnr")
+    for row in table[1:]:
+        row[place] = repr(scores[row[0]])
+    (cell / "views.csv").write_text("\n".join(",".join(row) for row in table) + "\n")
+    content = json.loads((cell / "record.json").read_text())
+    content["scores"]["psnr"] = float(np.mean([*scores.values()]))
+    content["truth"] = {view: truth_hash(stored_truth(cell, view)) for view in scores}
+    (cell / "record.json").write_text(json.dumps({**content, "hashes": hashes(cell)}))
+
+
+def test_a_forged_truth_is_found_by_the_data(forged):
+    problems = verify(forged).problems
+    found = [problem for problem in problems if "test views is not that of synthetic/turntable" in problem]
+    assert len(found) == 1 and read_record(forged / OURS).scores["psnr"] > 45
+    assert not any(": psnr of" in problem or "is not the ground truth" in problem for problem in problems)  # it fits
+
+
+def test_what_was_not_compared_is_said(forged, small_results, tmp_path, capsys, monkeypatch):
+    """Of scenes that are not built in, without --data; with it, they are read from there."""
+    monkeypatch.setattr(truth, "BUILT_IN", "another")
+    verified = verify(small_results)
+    assert verified.problems == [] and verified.checked == 0
+    of_none = "the ground truth was compared with the data of no cell; name the folder of its data with --data DIR"
+    assert verified.of_data == of_none
+    assert verify(small_results, data=tmp_path).checked == 3
+    assert any("is not that of" in problem for problem in verify(forged, data=tmp_path).problems)
+    with pytest.raises(ValueError, match="is no folder"):
+        verify(small_results, data=tmp_path / "none")
+
+
+def test_large_built_in_scenes_are_not_made_again(small_results, tmp_path, monkeypatch):
+    shutil.copytree(small_results / OURS, tmp_path / "a" / OURS)
+    content = json.loads((tmp_path / "a" / OURS / "record.json").read_text())
+    content["config"]["dataset"] |= {"width": 4096, "height": 4096, "views": 1000}
+    (tmp_path / "a" / OURS / "record.json").write_text(json.dumps(content))
+    monkeypatch.setattr("tdgbench.scenes.synthetic.dataset.write_scene", lambda *_: pytest.fail("made"))
+    verified = verify(tmp_path / "a")
+    assert verified.checked == 0 and "4096×4096×1000 px and views takes long" in verified.of_data
+
+
+def test_compare_says_whose_truth_it_was(forged, small_results, capsys):
+    assert compare([str(small_results), str(forged)]) == 1
+    out = " ".join(capsys.readouterr().out.split())
+    assert "protocol: ground truth: A's → another one in 2 of 2 test views" in out
+    assert "tdgbench verify compares it with the data" in out
+    assert compare([str(small_results), str(small_results)]) == 0
+
+
+def test_the_site_does_not_rank_rows_of_another_truth(forged, small_results, tmp_path):
+    packs = [
+        str(pack(folder, tmp_path / f"{folder.name}.zip", keep_paths=True)[0]) for folder in (small_results, forged)
+    ]
+    assert site([*packs, str(tmp_path / "site")]) == 0
+    index = (tmp_path / "site/index.html").read_text()
+    assert "Not comparable on turntable" in index and "was not compared with the data" in index
+    assert site([packs[0], str(tmp_path / "alone")]) == 0
+    assert "Not comparable" not in (tmp_path / "alone/index.html").read_text()
+
+
+def test_records_state_the_truth_of_their_views(small_results, small_gray_scene):
+    record = read_record(small_results / OURS)
+    assert record.truth == truth_hashes(small_gray_scene.test) and len(record.truth) == record.views["test"]
+
+
+def test_rounding_is_no_difference():
+    truth_ = np.full((40, 50, 1), 100, np.uint8)
+    other = truth_.copy()
+    other[0, 0] += 1
+    assert same_truth(truth_, other)
+    other[0, 1:4] += 1
+    assert not same_truth(truth_, other)
+    other[:] = truth_
+    other[0, 0] += 2
+    assert not same_truth(truth_, other) and not same_truth(truth_, truth_[:, :-1])
