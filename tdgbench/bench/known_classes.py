@@ -35,11 +35,14 @@ def add_trust_arguments(parser: argparse.ArgumentParser) -> None:
                         help="a method of yours that may be run: its _target_")  # fmt: skip
 
 
-def trust(options: argparse.Namespace) -> None:
-    """Trust the methods that the command line names. Raises ValueError for a folder without any."""
+def trust(config_dirs: Iterable[Path] = (), targets: Iterable[str] = ()) -> None:
+    """Trust methods of folders of YAML files, and of these names, and no others.
+
+    Modules in the working folder are imported for them. Raises ValueError for a folder without such a file.
+    """
     _TRUSTED.clear()
-    _TRUSTED.update(options.trust)
-    for folder in options.config_dir:
+    _TRUSTED.update(targets)
+    for folder in config_dirs:
         found = set(_targets((folder / "method").glob("*.yaml")))
         if not found:
             raise ValueError(f"--config-dir {folder}: {folder / 'method'} has no YAML file with a _target_")

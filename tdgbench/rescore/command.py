@@ -46,7 +46,7 @@ def main(arguments: list[str]) -> int:
     add_trust_arguments(parser)
     given = parser.parse_args(arguments)
     try:
-        trust(given)
+        trust(given.config_dir, given.trust)
         with opened_pack(given.experiment) as experiment:
             failed = score_experiment(experiment, given.out, given.options)
         show_findings(write_all(given.out))

@@ -56,7 +56,7 @@ def main(arguments: list[str]) -> int:
     options, status = parser.parse_args(arguments), 0
     for experiment in options.experiment:
         try:
-            trust(options)
+            trust(options.config_dir, options.trust)
             with opened_pack(experiment) as folder:
                 verified = verify(folder, options.data, options.weights)
         except (ValueError, OSError) as error:

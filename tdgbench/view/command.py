@@ -41,7 +41,7 @@ def main(arguments: list[str]) -> int:
     add_trust_arguments(parser)
     options = parser.parse_args(arguments)
     try:
-        trust(options)
+        trust(options.config_dir, options.trust)
         if len(options.cell) > 1 and (options.export or options.follow):
             raise ValueError(f"--{'export' if options.export else 'follow'} takes one folder, not {len(options.cell)}")
         if options.export:

@@ -31,7 +31,7 @@ def export(cell: ViewedCell, path: Path, max_mb: int) -> str:
     """
     if path.suffix != ".html":
         raise ValueError(f"--export {path}: the file's name must end in .html")
-    if (cell.folder / stored_parts.FILE).exists():
+    if cell.method is not None or (cell.folder / stored_parts.FILE).exists():
         raise ValueError(
             f"{cell.folder} cannot be exported: {cell.record.method} renders more than Gaussians (parts.pt); "
             "tdgbench view without --export shows it"

@@ -25,7 +25,7 @@ NOT_RUN = "method tdg is none of tdgbench's and was not run: if its class is you
 @pytest.fixture(autouse=True)
 def nothing_is_trusted_afterwards():
     yield
-    known_classes._TRUSTED.clear()
+    known_classes.trust()
 
 
 def theirs(here: Path, small_results: Path, target: str, **options) -> Path:

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 from tdgbench.__main__ import main
+from tdgbench.bench import known_classes
 from tests.helpers.paths import ROOT
 
 FILE = re.compile(r"^`([\w./]+)`[^`\n]*:\n\n```(?:python|yaml)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
@@ -29,6 +30,9 @@ class Page:
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_text(content, encoding="utf-8")
         monkeypatch.chdir(folder)
+        monkeypatch.setattr(known_classes, "_TRUSTED", set())
+        if (folder / "yaml" / "method").is_dir():  # as `verify --config-dir yaml`
+            known_classes.trust([folder / "yaml"])
         monkeypatch.syspath_prepend(str(folder))
 
     def extend_packages(self) -> None:
