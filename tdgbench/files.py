@@ -16,7 +16,7 @@ from io import BufferedReader
 from pathlib import Path
 
 MB = 2**20
-SYNC_ONCE = 200  # files of a folder from which on the disk is flushed once, and not for each
+SYNC_ONCE = 2000  # files of a folder from which on all disks are flushed once, and not each file
 KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a FIFO",

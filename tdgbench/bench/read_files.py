@@ -14,9 +14,7 @@ from tdgbench.files import MB, content_of, opened
 
 MAX_TEXT = 16 * MB  # of a record, a table or a list of cameras; the cameras of 10 000 views have 7
 MAX_PICTURE = 256 * MB  # of a PNG file
-MOST_PIXELS = (
-    2**22
-)  # of a view of a cell: three times those of the largest thermal cameras; checking one takes 250 B each
+MOST_PIXELS = 2**22  # of a view of a cell: three times those of large thermal cameras; a check takes 250 bytes for each
 
 
 def read_text(path: Path) -> str:

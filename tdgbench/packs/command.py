@@ -43,4 +43,5 @@ def unpack_main(arguments: list[str]) -> int:
         say(one_line(f"tdgbench unpack: {error}"), stderr=True)
         return 1
     say(f"{options.folder}: {len(content.files)} files of {content.experiment}, SHA-256 of its manifest {name}")
+    say("they are what the pack holds, and are not verified yet: tdgbench verify does that", "data:")
     return 0

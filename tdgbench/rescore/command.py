@@ -50,6 +50,7 @@ def main(arguments: list[str]) -> int:
         with opened_pack(given.experiment) as experiment:
             failed = score_experiment(experiment, given.out, given.options)
         show_findings(write_all(given.out))
+        say("not compared: the ground truth is what the cells hold; tdgbench verify compares it", "data:")
     except (ValueError, OSError) as error:
         say(one_line(f"tdgbench score: {error}"), stderr=True)
         return 1

@@ -76,7 +76,7 @@ class Session:
         """Do something for this client. An error is shown on its page, and no other client notices."""
         try:
             action()
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # a method of the user may raise anything
             with suppress(Exception), self._turn:  # there may be no panel yet
                 self.panel.show_value(shortened(f"{type(error).__name__}: {error}"))
 

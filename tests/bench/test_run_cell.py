@@ -37,6 +37,14 @@ def run(tmp_path, data_root, monkeypatch):
     return cell
 
 
+def test_views_that_no_result_holds_are_refused_before_the_training(run, monkeypatch):
+    monkeypatch.setattr(cell_phases, "MOST_PIXELS", 1000)
+    outcome = run("scene=turntable")
+    assert outcome.status == "failed"
+    why = "turntable has views of 48×36 px, and results hold 1000 px at most: set data.width=36 or less"
+    assert why in outcome.message
+
+
 @pytest.mark.parametrize("method", ["tdg", "msmg", "3dgs"])
 def test_a_cell_writes_all_its_files(run, method):
     assert run(f"method={method}", "scene=turntable").status == "ok"
