@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 UNPRINTABLE = "backslashreplace"  # how characters outside of the stream's encoding are printed
+LONGEST = 10_000  # characters of a message; the help has some 4 000
 UNLIMITED = 1_000_000  # width, in characters, where there is no terminal: tables are as wide as their content
 
 
@@ -28,7 +29,12 @@ def console(stderr: bool = False) -> Console:
 
 
 def say(text: str, label: str = "", style: str = "red", stderr: bool = False) -> None:
-    """Print plain text (no markup) without wrapping it; `label`, if any, comes first, in a style of rich."""
+    """Print plain text (no markup) without wrapping it; `label`, if any, comes first, in a style of rich.
+
+    What is longer than any message of ours, as of a file that holds megabytes where a number should be, is cut.
+    """
+    if len(text) > LONGEST:
+        text = f"{text[:LONGEST]}… ({len(text) - LONGEST:,} more characters)"
     line = Text.assemble((label, style), " " if label else "", printable(text))
     console(stderr).print(line, highlight=False, soft_wrap=True)
 

@@ -157,3 +157,9 @@ def _opens_text(call: ast.Call) -> bool:
     ):
         return False
     return call.func.attr in ("read_text", "write_text") or (call.func.attr == "open" and "b" not in str(mode))
+
+
+def test_a_message_of_megabytes_is_cut(capsys):
+    say("a" * 3_000_000, "error:")
+    (line,) = capsys.readouterr().out.splitlines()
+    assert line.startswith("error: aaa") and line.endswith("a… (2,990,000 more characters)")

@@ -13,6 +13,7 @@ import numpy as np
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_there, read_json
 from tdgbench.scenes.scene import TemperatureRange
+from tdgbench.text import shortened
 
 FILE = "temperature.json"
 KEYS = "min", "max"
@@ -86,7 +87,7 @@ def finite_number(value: object) -> float:
     except (ValueError, TypeError, OverflowError):
         number = math.nan
     if not math.isfinite(number) or isinstance(value, bool):
-        raise ValueError(f"{value!r} is no finite number")
+        raise ValueError(f"{shortened(repr(value), 60)} is no finite number")
     return number
 
 

@@ -40,7 +40,7 @@ class Verification(NamedTuple):
         """What is known of the ground truth, in words."""
         if self.checked == self.finished:
             return "the ground truth was compared with the data"
-        some = f"of {self.checked} cells alone" if self.checked else "of no cell"
+        some = f"of {self.checked} of {self.finished} cells" if self.checked else "of no cell"
         return f"the ground truth was compared with the data {some}{'; '.join(['', *self.why_not])}"
 
 

@@ -114,5 +114,6 @@ PAST: dict[str, Make] = {
     "a checkpoint with a large tensor": checkpoint("an empty tensor of 10¹⁰"),
     "a checkpoint that is deflated": checkpoint("a deflated storage of 1200 MB"),
     "2⁶⁴ images of a frame": scene("sparse/0/frames.bin", with_count(72)),
+    "a temperature of megabytes": scene("temperature.json", b'{"min": 0, "max": [' + b"0," * 10**6 + b"0]}"),
     "a camera of number -1": scene("sparse/0/cameras.txt", b"-1 PINHOLE 32 24 30 30 16 12\n", text=True),
 }
