@@ -69,6 +69,29 @@ def test_a_training_that_cannot_be_announced_goes_on(tmp_path, data_root):
     assert outcome.status == "ok" and "tdgbench view --follow cannot show it: " in outcome.message
 
 
+@pytest.mark.parametrize("kind", ["fifo", "link", "bytes"])
+def test_a_checkpoint_that_is_none_is_waited_for(tdg_folder, tmp_path, capsys, kind):
+    """As in results of others: nothing hangs, nothing elsewhere is read."""
+    experiment = tmp_path / "theirs"
+    running, path = experiment / "running" / "a", experiment / "checkpoints" / "a.pt"
+    running.mkdir(parents=True)
+    path.parent.mkdir()
+    for name in ("record.json", "cameras.json"):
+        (running / name).write_bytes((tdg_folder / name).read_bytes())
+    secret = tmp_path / "secret.pt"
+    torch.save({"stage": 0}, secret)
+    make = {"fifo": os.mkfifo, "link": lambda p: p.symlink_to(secret), "bytes": lambda p: p.write_bytes(b"x" * 99)}
+    make[kind](path)
+    why = {"fifo": "it is a FIFO", "link": "it leads out of its folder", "bytes": "it is no file of torch.save"}
+
+    def end(seconds):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Follower(experiment).next(end)
+    assert why[kind] in capsys.readouterr().out
+
+
 def test_a_real_training_is_followed_until_it_ends(tmp_path, data_root, capsys):
     words = [*SMALL, "budget=demo", "prior=synthetic", "budget.iterations=1000000", "budget.plateau=null"]
     words += ["checkpoint=0.2", "method=3dgs", "scene=turntable", f"data.root={data_root}"]
