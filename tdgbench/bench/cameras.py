@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tdgbench.bench.read_files import MOST_PIXELS, read_text
+from tdgbench.bench.read_files import MAX_CAMERAS, MOST_PIXELS, read_text
 from tdgbench.files import write_text
 from tdgbench.scenes import Camera, Scene, SceneError
 from tdgbench.scenes.validate import check_camera
@@ -29,7 +29,7 @@ def read_cameras(folder: Path) -> Cameras:
     """Read the cameras of a cell. Raises ValueError, naming the file or the view, if it holds anything else."""
     path = folder / FILE
     try:
-        content = json.loads(read_text(path))
+        content = json.loads(read_text(path, MAX_CAMERAS))
         found: Cameras = {
             part: {name: _from_json(camera) for name, camera in content[part].items()} for part in ("train", "test")
         }

@@ -12,15 +12,20 @@ from PIL import Image
 
 from tdgbench.files import MB, content_of, opened
 
-MAX_TEXT = 16 * MB  # of a record, a table or a list of cameras; the cameras of 10 000 views have 7
+MAX_TEXT = 4 * MB  # of a record or a table; a record of 1 000 test views has 0.7. In memory JSON takes 25 times as much
+MAX_CAMERAS = 16 * MB  # of a list of cameras; 10 000 views have 7
+MOST_ROWS = 100_000  # of a table
 MAX_PICTURE = 256 * MB  # of a PNG file
 MOST_PIXELS = 2**22  # of a view of a cell: three times those of large thermal cameras; a check takes 250 bytes for each
 
 
-def read_text(path: Path) -> str:
-    """Read a UTF-8 text file. Raises ValueError for anything else, FileNotFoundError where there is nothing."""
+def read_text(path: Path, most: int = MAX_TEXT) -> str:
+    """Read a UTF-8 text file of a cell. most: bytes that it may have.
+
+    Raises ValueError for anything else, FileNotFoundError where there is nothing.
+    """
     try:
-        return content_of(path, MAX_TEXT, inside=path.parent).decode("utf-8")
+        return content_of(path, most, inside=path.parent).decode("utf-8")
     except UnicodeDecodeError as error:
         raise ValueError(f"it is not UTF-8 text (byte {error.start})") from error
 
@@ -28,13 +33,21 @@ def read_text(path: Path) -> str:
 def read_table(path: Path) -> list[list[str]]:
     """Return rows of a CSV file, all as long as the first one. Raises ValueError for anything else."""
     try:
-        rows = list(csv.reader(io.StringIO(read_text(path), newline=""), strict=True))
+        rows = list(csv.reader(io.StringIO(table_text(path), newline=""), strict=True))
     except csv.Error as error:
         raise ValueError(str(error)) from error
     for number, row in enumerate(rows, start=1):
         if len(row) != len(rows[0]):
             raise ValueError(f"row {number} has {len(row)} fields, the first one {len(rows[0])}")
     return rows
+
+
+def table_text(path: Path) -> str:
+    """Return the text of a CSV file. Raises ValueError for too many rows, and as `read_text`."""
+    text = read_text(path)
+    if max(text.count("\n"), text.count("\r")) > MOST_ROWS:
+        raise ValueError(f"it has more than {MOST_ROWS:,} rows")
+    return text
 
 
 def read_picture(path: Path, size: tuple[int, int] | None = None) -> np.ndarray:

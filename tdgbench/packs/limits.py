@@ -8,13 +8,14 @@ from collections.abc import Collection
 from pathlib import PurePosixPath
 from typing import BinaryIO
 
-from tdgbench.bench import plan
+from tdgbench.bench import cameras, plan
 from tdgbench.bench.paths import CELL_FILE
-from tdgbench.bench.read_files import MAX_PICTURE, MAX_TEXT
+from tdgbench.bench.read_files import MAX_CAMERAS, MAX_PICTURE, MAX_TEXT
 from tdgbench.bench.record import FILE
 from tdgbench.files import MB, in_mb
 from tdgbench.scenes.inputs import check_view_name
 
+MOST_MANIFEST = 16 * MB  # a hundred thousand files
 MOST_FILES = 100_000  # 140 cells of 40 test views have 25 000
 MOST_CELLS = 1500  # the paper's tables with five seeds have 140
 MOST_BYTES = 2**20 * MB  # unpacked
@@ -41,7 +42,8 @@ def check_place(name: str) -> None:
 
 def most_bytes(name: str) -> int:
     """Return how many bytes a file may have, by its kind."""
-    return {".json": MAX_TEXT, ".csv": MAX_TEXT, ".png": MAX_PICTURE}.get(PurePosixPath(name).suffix, MOST_BYTES)
+    path, kinds = PurePosixPath(name), {".json": MAX_TEXT, ".csv": MAX_TEXT, ".png": MAX_PICTURE}
+    return MAX_CAMERAS if path.name == cameras.FILE else kinds.get(path.suffix, MOST_BYTES)
 
 
 def check_amount(names: Collection[str], unpacked: int, packed: int) -> None:

@@ -12,10 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tdgbench.bench.read_files import MAX_TEXT
 from tdgbench.files import MB, in_mb, opened, whole_folder
 from tdgbench.packs import manifest
-from tdgbench.packs.limits import check_amount, check_directory, most_bytes
+from tdgbench.packs.limits import MOST_MANIFEST, check_amount, check_directory, most_bytes
 from tdgbench.packs.manifest import Manifest, read_manifest, sha256
 
 CHUNK = MB  # bytes that are unpacked at once
@@ -85,7 +84,7 @@ def _extract_members(archive: zipfile.ZipFile, packed: int, folder: Path) -> tup
     check_amount(members, sum(info.file_size for info in members.values()), packed)
     if manifest.FILE not in members:
         raise ValueError(f"it has no {manifest.FILE}")
-    text = b"".join(_chunks(archive, members.pop(manifest.FILE), MAX_TEXT))
+    text = b"".join(_chunks(archive, members.pop(manifest.FILE), MOST_MANIFEST))
     content = read_manifest(text)
     for name in sorted(set(members) ^ set(content.files)):
         raise ValueError(f"{name} is {'not in the manifest' if name in members else 'missing'}")

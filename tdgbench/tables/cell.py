@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 
 from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.read_files import read_text
+from tdgbench.bench.read_files import table_text
 from tdgbench.bench.record import Record
 from tdgbench.bench.scores import read_views
 from tdgbench.scoring import METRICS
@@ -80,7 +80,7 @@ def _views(path: Path) -> pd.DataFrame | None:
 @cache
 def _log(path: Path) -> pd.DataFrame | None:
     try:
-        log = pd.read_csv(io.StringIO(read_text(path))).apply(pd.to_numeric, errors="coerce")
+        log = pd.read_csv(io.StringIO(table_text(path))).apply(pd.to_numeric, errors="coerce")
     except (OSError, ValueError):  # pandas raises ValueError for what is no table
         return None
     return log if len(log) and {"iteration", "seconds", "smoothed_psnr"} <= set(log.columns) else None

@@ -212,7 +212,7 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "foreign file": (write("notes.txt", b""), "notes.txt is not in the record", False),
     "camera": (cameras(lambda c: turned(c["test"][VIEW])), "is not what model.ply gives", True),
     "camera NaN": (cameras(lambda c: c["test"][VIEW]["K"][0].__setitem__(0, float("nan"))), "must be positive", True),
-    "camera huge": (cameras(lambda c: c["test"][VIEW].update(width=10**9)), "is 1000000000×36 px", True),
+    "camera huge": (cameras(lambda c: c["test"][VIEW].update(width=10**9)), "has 1000000000×36 px", True),
     "camera number": (cameras(lambda c: c["test"][VIEW]["K"][0].__setitem__(0, 10**400)), "cameras.json cannot", True),
     "camera elsewhere": (cameras(lambda c: c["test"].update({"../x": c["test"][VIEW]})), "'../x' is no name", True),
     "cameras deep": (write("cameras.json", b'{"test":' + b"[" * 100_000), "cameras.json cannot be read", True),
@@ -233,6 +233,8 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "record of bytes": (write("record.json", b"\xff\xfe"), "record.json cannot be read: it is not UTF-8", False),
     "record FIFO": (instead("record.json", os.mkfifo), "record.json cannot be read: it is a FIFO", False),
     "model FIFO": (instead("model.ply", os.mkfifo), "model.ply cannot be read: it is a FIFO", False),
+    "a table of many rows": (
+        write("log.csv", b"iteration,seconds\n" + b"1,1\n" * 200_000), "log.csv cannot be read: it has more", True),
     "CSV folder": (instead("views.csv", Path.mkdir), "views.csv cannot be read: it is a folder", False),
     "picture loop": (
         instead(f"renders/{VIEW}.png", lambda p: p.symlink_to(p)), f"{VIEW}.png cannot be read: it cannot", False),
