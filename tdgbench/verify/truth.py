@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,13 +15,16 @@ import numpy as np
 from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.ground_truth import same_truth, stored_truth, truth_hash, truth_of
 from tdgbench.bench.known_classes import built, known_classes
+from tdgbench.bench.read_files import MOST_PIXELS
 from tdgbench.bench.record import Record
 from tdgbench.scenes import SceneError
+from tdgbench.scenes.datasets import outline_of
 from tdgbench.text import first_few
 from tdgbench.verify.problems import NotCheckedError
 
 BUILT_IN = "tdgbench.scenes.synthetic.SyntheticDataset"
-MOST_PIXELS = 2**24  # of all views of a built-in scene that is made again: half a minute
+MOST_MADE = 2**26  # pixels of all views of the built-in scenes that are made again, those of 87 default ones
+MOST_POINTS = 10**5  # of one of them
 NAME_IT = "name the folder of its data with --data DIR"
 
 
@@ -31,6 +35,7 @@ class TrueData:
         """folder: of the data sets; None: built-in scenes alone, which are made in `scratch`."""
         self._folder, self._scratch = folder, scratch
         self._read: dict[str, dict[str, np.ndarray]] = {}
+        self._left = MOST_MADE
 
     def of(self, record: Record) -> dict[str, np.ndarray]:
         """Return the ground truth of each test view of a record's scene.
@@ -42,13 +47,28 @@ class TrueData:
         root = self._folder or (self._scratch if is_built_in else None)
         if root is None or not isinstance(loader, dict):
             raise NotCheckedError(NAME_IT)
-        if is_built_in:
-            _check_amount(loader)
         key = json.dumps([loader, record.scene, record.channels], sort_keys=True)
         if key not in self._read:
-            dataset = built(_with_root(loader, str(root), record.channels), known_classes("dataset"))
-            self._read[key] = {view.name: truth_of(view) for view in dataset.load(record.scene).test}
+            if is_built_in:
+                self._spend(loader)
+            outline = outline_of(built(_with_root(loader, str(root), record.channels), known_classes("dataset")),
+                                 record.scene)  # fmt: skip
+            for view in outline.scene.test:  # before one is read, which its options may enlarge
+                if view.camera.width * view.camera.height > MOST_PIXELS:
+                    raise ValueError(f"{view.name} would have {view.camera.width}×{view.camera.height} px")
+            self._read[key] = {view.name: truth_of(view) for view in outline.read().test}
         return self._read[key]
+
+    def _spend(self, loader: dict[str, Any]) -> None:
+        """Raise NotCheckedError for a built-in scene that takes long to make, alone or after the others."""
+        sizes = [loader.get(name, default) for name, default in (("width", 160), ("height", 120), ("views", 40))]
+        points = loader.get("points", 0)
+        if not all(isinstance(size, int) and 0 < size <= MOST_MADE for size in [*sizes, points + 1]):
+            raise NotCheckedError(f"a built-in scene has no such size; {NAME_IT}")
+        pixels = math.prod(sizes)
+        if pixels > self._left or points > MOST_POINTS:
+            raise NotCheckedError(f"a scene of {'×'.join(map(str, sizes))} px and views takes long to make")
+        self._left -= pixels
 
 
 @contextmanager
@@ -93,12 +113,3 @@ def _with_root(loader: dict[str, Any], root: str, channels: int) -> dict[str, An
     options = loader.get("options")
     known = {**options, "channels": channels} if isinstance(options, dict) and channels else options
     return {**loader, "root": root, "options": known}
-
-
-def _check_amount(loader: dict[str, Any]) -> None:
-    """Raise NotCheckedError for a built-in scene that takes long to make."""
-    sizes = [loader.get(name, default) for name, default in (("width", 160), ("height", 120), ("views", 40))]
-    if not all(isinstance(size, int) and size > 0 for size in sizes) or np.prod(sizes, dtype=object) > MOST_PIXELS:
-        raise NotCheckedError(f"a scene of {'×'.join(map(str, sizes))} px and views takes long to make; {NAME_IT}")
-    if not isinstance(loader.get("points", 0), int) or loader.get("points", 0) > 10**6:
-        raise NotCheckedError(f"its points take long to make; {NAME_IT}")

@@ -80,6 +80,23 @@ def test_large_built_in_scenes_are_not_made_again(small_results, tmp_path, monke
     assert verified.checked == 0 and "4096×4096×1000 px and views takes long" in verified.of_data
 
 
+def test_a_view_that_options_enlarge_is_not_read(small_results, tmp_path, monkeypatch):
+    shutil.copytree(small_results / OURS, tmp_path / "a" / OURS)
+    content = json.loads((tmp_path / "a" / OURS / "record.json").read_text())
+    content["config"]["dataset"]["options"]["width"] = 4096
+    (tmp_path / "a" / OURS / "record.json").write_text(json.dumps(content))
+    monkeypatch.setattr(truth, "truth_of", lambda _: pytest.fail("read"))
+    verified = verify(tmp_path / "a")
+    assert any("view000 would have 4096×3072 px" in problem for problem in verified.problems)
+    assert verified.checked == 0
+
+
+def test_many_built_in_scenes_are_not_made_again(small_results, monkeypatch):
+    monkeypatch.setattr(truth, "MOST_MADE", 48 * 36 * 10)  # one of them
+    verified = verify(small_results)
+    assert verified.problems == [] and verified.checked == 2 and "takes long to make" in verified.of_data
+
+
 def test_compare_says_whose_truth_it_was(forged, small_results, capsys):
     assert compare([str(small_results), str(forged)]) == 1
     out = " ".join(capsys.readouterr().out.split())
