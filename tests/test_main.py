@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import subprocess
 import sys
 from unittest import mock
 
@@ -227,3 +229,17 @@ def test_plug_ins_in_the_working_folder(tmp_path, data_root):
         run = command_here(tmp_path, *words)
     assert run.returncode == 0, run.stderr[-3000:]
     assert [(r.method, r.status) for r in read_all(tmp_path / "results" / "single")] == [("mine", "ok")]
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "text"),
+    [(["--version"], 0, f"tdgbench {__version__}"), (["verify", "x"], 1, "error: the working folder was deleted; ")],
+)
+def test_a_working_folder_that_was_deleted_is_one_line(tmp_path, words, status, text):
+    script = 'mkdir gone && cd gone && rmdir ../gone && exec "$0" -m tdgbench "$@"'
+    run = subprocess.run(
+        ["sh", "-c", script, sys.executable, *words], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True, timeout=100,
+    )  # fmt: skip
+    assert run.returncode == status and (run.stdout + run.stderr).startswith(text)
+    assert (run.stdout + run.stderr).count("\n") == 1
