@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 from hypothesis import strategies as st
 
 from benchmarks.strangers.honest import WITHOUT_PARTS, Files, Honest
-from benchmarks.strangers.server import MOST_BYTES, SECONDS, Outcome, Server
+from benchmarks.strangers.server import MOST_BYTES, Outcome, Server
 from benchmarks.strangers.values import MARKUP
 from benchmarks.strangers.zips import Entry, zipped
 
@@ -133,8 +133,8 @@ def problems_of(case: Case, outcome: Outcome) -> list[str]:
         found.append(f"unexpected error: {_last_place(outcome.error)}")
     if "Traceback (most recent" in outcome.output:
         found.append("prints a traceback")
-    if outcome.seconds >= SECONDS:
-        found.append(f"does not end within {SECONDS:.0f} s")
+    if outcome.timed_out:
+        found.append(f"does not end within {outcome.seconds:.0f} s")
     elif outcome.signal:
         found.append(f"is ended by signal {outcome.signal}")
     elif outcome.status not in (0, 1, 2):

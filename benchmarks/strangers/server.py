@@ -44,6 +44,7 @@ class Outcome:
     status: Any = None
     signal: int = 0
     seconds: float = 0.0
+    timed_out: bool = False
     mb: float = 0.0
     written_mb: float = 0.0
     violations: list[str] = field(default_factory=list)
@@ -53,7 +54,10 @@ class Outcome:
 
 
 class Server:
-    """The server process, to be used in a `with` statement."""
+    """The server process, to be used in a `with` statement. patience: × SECONDS, where other work shares the cores."""
+
+    def __init__(self, patience: float = 1.0) -> None:
+        self._seconds = patience * SECONDS
 
     def __enter__(self) -> Server:
         self._process = subprocess.Popen(
@@ -65,14 +69,14 @@ class Server:
     def __exit__(self, *_: object) -> None:
         self._process.communicate()
 
-    def run(self, words: list[str], folder: Path, how: str = "watched", seconds: float = SECONDS) -> Outcome:
+    def run(self, words: list[str], folder: Path, how: str = "watched", seconds: float | None = None) -> Outcome:
         """Run `tdgbench WORDS` in a folder. how: `watched`; `trusted`, without limits; `warm`, in the server itself.
 
         The latter imports the modules and loads the kernels that later commands need. A first word `module:function` is
         a function that is called with the other words.
         """
         assert self._process.stdin is not None and self._process.stdout is not None
-        request = {"words": words, "folder": str(folder), "how": how, "seconds": seconds}
+        request = {"words": words, "folder": str(folder), "how": how, "seconds": seconds or self._seconds}
         self._process.stdin.write(json.dumps(request) + "\n")
         self._process.stdin.flush()
         answer = self._process.stdout.readline()
@@ -111,7 +115,7 @@ def _run_in_child(words: list[str], folder: Path, most_seconds: float | None) ->
     if child == 0:
         _be_child(words, folder, most_seconds is not None, report, output)
     ended = os.pidfd_open(child)
-    select.select([ended], [], [], most_seconds)
+    timed_out = not select.select([ended], [], [], most_seconds)[0]
     os.close(ended)
     seconds = time.monotonic() - begin
     with contextlib.suppress(ProcessLookupError):
@@ -123,7 +127,7 @@ def _run_in_child(words: list[str], folder: Path, most_seconds: float | None) ->
         path.unlink(missing_ok=True)
     ended_by = os.WTERMSIG(status) if os.WIFSIGNALED(status) and "status" not in found else 0
     mb = max(0.0, usage.ru_maxrss / 1024 - found.pop("began_with_mb", 0.0))
-    found |= {"signal": ended_by, "seconds": round(seconds, 3), "mb": round(mb, 1)}
+    found |= {"signal": ended_by, "seconds": round(seconds, 3), "timed_out": timed_out, "mb": round(mb, 1)}
     return Outcome(output=said[-TAIL:], printed=len(said), **found)
 
 

@@ -33,7 +33,7 @@ class Reader(NamedTuple):
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory) -> Iterator[Reader]:
     place = tmp_path_factory.mktemp("strangers")
-    with Server() as server:
+    with Server(patience=3) as server:  # another process of tests may share the cores
         yield Reader(server, make_honest(server, place / "honest"), place / "case")
 
 
