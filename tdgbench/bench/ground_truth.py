@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tdgbench.bench.masks import has_mask, read_mask
+from tdgbench.bench.masks import has_mask, mask_path, read_mask
 from tdgbench.bench.paths import files_of
-from tdgbench.bench.read_files import read_named
+from tdgbench.bench.read_files import MAX_PICTURE, read_named
 from tdgbench.bench.record import Record
+from tdgbench.files import content_of
 from tdgbench.scenes import View
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.scoring import to_8bit
 
+TARGETS = files_of(THERMAL).targets  # folder of a cell
 MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: processors round differently
 
 
@@ -30,7 +32,7 @@ def truth_of(view: View) -> np.ndarray:
 
 def stored_truth(folder: Path, view: str) -> np.ndarray:
     """Return `truth_of` a test view of a cell. Raises ValueError, naming the picture, if it cannot be read."""
-    truth = read_named(folder, f"{files_of(THERMAL).targets}/{view}.png")
+    truth = read_named(folder, f"{TARGETS}/{view}.png")
     return _masked(truth, read_mask(folder, view, truth.shape[1::-1]) if has_mask(folder, view) else None)
 
 
@@ -56,9 +58,19 @@ def same_truth(a: np.ndarray, b: np.ndarray) -> bool:
     return bool(off.max(initial=0) <= 1 and np.count_nonzero(off) <= MAX_DIFFERENT * off.size)
 
 
+def views_with_truth(record: Record) -> list[str]:
+    """Return the views of which a cell has a ground truth, sorted."""
+    names = (PurePosixPath(name) for name in record.hashes)
+    return sorted(name.stem for name in names if name.parent.as_posix() == TARGETS)
+
+
 def views_with_other_truth(a: Path, b: Path, views: Iterable[str]) -> list[str]:
-    """Return the views whose ground truth differs between two cells. Raises ValueError for one that cannot be read."""
-    return [view for view in views if not same_truth(stored_truth(a, view), stored_truth(b, view))]
+    """Return the views whose ground truth differs between two cells. Pictures of equal bytes are not decoded.
+
+    Raises ValueError or OSError for a picture that cannot be read.
+    """
+    unequal = [view for view in views if _stored_bytes(a, view) != _stored_bytes(b, view)]
+    return [view for view in unequal if not same_truth(stored_truth(a, view), stored_truth(b, view))]
 
 
 def truth_groups(cells: Mapping[Path, Record]) -> dict[Path, int]:
@@ -69,7 +81,7 @@ def truth_groups(cells: Mapping[Path, Record]) -> dict[Path, int]:
     found: dict[tuple[object, ...], list[dict[str, np.ndarray]]] = {}
     numbers = {}
     for folder, record in cells.items():
-        views = sorted(name[len("targets/") : -len(".png")] for name in record.hashes if name.startswith("targets/"))
+        views = views_with_truth(record)
         key = record.dataset, record.scene, *views
         try:
             truth = {view: stored_truth(folder, view) for view in views}
@@ -83,6 +95,12 @@ def truth_groups(cells: Mapping[Path, Record]) -> dict[Path, int]:
             known.append(truth)
         numbers[folder] = number + 1
     return numbers
+
+
+def _stored_bytes(folder: Path, view: str) -> list[bytes]:
+    """Return the files that decide `stored_truth`."""
+    paths = [folder / TARGETS / f"{view}.png", *([mask_path(folder, view)] if has_mask(folder, view) else [])]
+    return [content_of(path, MAX_PICTURE, inside=folder) for path in paths]
 
 
 def _masked(truth: np.ndarray, valid: np.ndarray | None) -> np.ndarray:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from pathlib import PurePosixPath
 from typing import Any, NamedTuple
 
-from tdgbench.bench.ground_truth import views_with_other_truth
+from tdgbench.bench.ground_truth import views_with_other_truth, views_with_truth
 from tdgbench.bench.key import flat
 from tdgbench.bench.protocol import MEASURED_ON
 from tdgbench.bench.record import Record
@@ -61,12 +60,13 @@ def find_causes(pairs: Iterable[Pair]) -> list[Cause]:
 
 def truth_in_words(pair: Pair) -> str:
     """Return whose ground truth the second cell of a pair was scored against, by their pictures."""
-    a, b = ({PurePosixPath(name).stem for name in cell.record.hashes if name.startswith("targets/")} for cell in pair)
+    there = set(views_with_truth(pair.b.record))
+    common = [view for view in views_with_truth(pair.a.record) if view in there]
     try:
-        other = views_with_other_truth(pair.a.folder, pair.b.folder, sorted(a & b))
+        other = views_with_other_truth(pair.a.folder, pair.b.folder, common)
     except (ValueError, OSError) as error:
         return f"unknown, since {one_line(str(error))}"
-    return f"another one in {len(other)} of {len(a & b)} test views" if other else "A's"
+    return f"another one in {len(other)} of {len(common)} test views" if other else "A's"
 
 
 def settings(record: Record) -> dict[tuple[str, str], str]:
