@@ -195,6 +195,8 @@ class Scene:
     notes: list[str] = field(default_factory=list)
     folder: Path | None = None  # of its files
     raw_count_range: tuple[int, int] | None = None  # raw counts of the image values 0 and 1, of images without °C
+    assumed: dict[str, str] = field(default_factory=dict)  # how its files were read where they could be read otherwise
+    doubts: list[str] = field(default_factory=list)  # of its cameras and points; each names a view and a remedy
 
     def fingerprint_with(self, *changes: bytes) -> str:
         """Return the fingerprint of the scene with changed images. changes: all that the change depends on."""
