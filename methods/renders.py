@@ -16,7 +16,8 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, ValidationError
 
 from tdgbench.scenes import Scene, SceneError
-from tdgbench.scenes.images import is_gray, whole_image
+from tdgbench.scenes.formats import decode
+from tdgbench.scenes.images import is_gray
 from tdgbench.scenes.inputs import hash_of, listed, read_array, read_bytes
 from tdgbench.scoring.scored_view import NotApplicableError
 from tdgbench.splats.view import Render
@@ -199,13 +200,14 @@ def read_render(path: Path, run: Run, scene: Scene, size: tuple[int, int]) -> np
 
 
 def _picture(path: Path, run: Run) -> np.ndarray:
-    with whole_image(path) as image:
-        kind, mode, values = image.format, image.mode, np.asarray(image)
-    if kind != FORMATS[path.suffix] or mode not in ("L", "RGB"):
-        raise SceneError(f"{path} is {kind} of mode {mode}; write {FORMATS[path.suffix]} of 8 bits, gray or RGB")
+    decoded = decode(path, as_picture=True)
+    kind, depth = decoded.header.format, decoded.header.depth
+    if kind != FORMATS[path.suffix] or depth != "8-bit" or decoded.valid is not None:
+        alpha = " and transparent" if decoded.valid is not None else ""
+        raise SceneError(f"{path} is {kind} of {depth}{alpha}; write {FORMATS[path.suffix]} of 8 bits, gray or RGB")
     if run.value_range != "unit":
         raise SceneError(f"{path} is a picture, and value_range in {RUN} is {run.value_range}; write °C as .npy")
-    return values if values.ndim == 3 else values[..., None]
+    return decoded.values
 
 
 def _array(path: Path, run: Run, scene: Scene) -> np.ndarray:

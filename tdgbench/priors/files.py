@@ -12,11 +12,11 @@ import torch
 
 from tdgbench.priors.prior import DepthPrior, Kind, PriorError
 from tdgbench.scenes import Scene, SceneError, View
-from tdgbench.scenes.images import whole_image
+from tdgbench.scenes.formats import decode
 from tdgbench.scenes.inputs import hash_of, is_there, read_array
 
 RELEASED_FOLDER = "depthesti"  # folder of TDg's released code, inside the scene
-LARGEST_COUNT = {"L": 255, "I;16": 65535, "I": 65535}  # by Pillow mode
+LARGEST_COUNT = {"8-bit": 255, "16-bit": 65535}
 
 
 class FilePrior:
@@ -82,13 +82,15 @@ def _as_prior_error() -> Iterator[None]:
 
 def _read_png(path: Path, size: tuple[int, int]) -> np.ndarray:
     """Read a depth map (H, W) float32 in [0, 1], NaN where unknown. Raises SceneError or PriorError."""
-    with whole_image(path) as image:
-        mode, counts = image.mode, np.asarray(image)
-    if mode not in LARGEST_COUNT:
+    decoded = decode(path, as_picture=True)
+    values, depth = decoded.values, decoded.header.depth
+    if values.shape[2] != 1 or depth not in LARGEST_COUNT or decoded.valid is not None:
         raise PriorError(
-            f"{path} cannot be read as a depth map: it has mode {mode}; a depth map has one channel of 8 or 16 bits"
+            f"{path} cannot be read as a depth map: it has {values.shape[2]} channels of {depth}, and "
+            f"{'transparent' if decoded.valid is not None else 'no transparent'} pixels; a depth map has one channel "
+            "of 8 or 16 bits"
         )
-    counts = counts.astype(np.float32) / np.float32(LARGEST_COUNT[mode])
+    counts = values[..., 0].astype(np.float32) / np.float32(LARGEST_COUNT[depth])
     if counts.shape != size:
         given = torch.from_numpy(counts)[None, None]
         resized = torch.nn.functional.interpolate(given, size=size, mode="bilinear", align_corners=False)

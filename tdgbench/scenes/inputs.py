@@ -14,7 +14,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -78,21 +78,33 @@ def hash_of(path: Path) -> bytes:
 def read_array(path: Path) -> np.ndarray:
     """Read real numbers from an .npy file. Raises SceneError, before memory is taken for a shape that cannot be."""
     with decoding(path, "an .npy array", "write it with numpy.save"):
-        file = io.BytesIO(read_bytes(path))
-        major, _ = np.lib.format.read_magic(file)
-        read_header = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
-        shape, _, kind = read_header(file)
-        if kind.kind not in "fiu":
-            what = "Python objects" if kind.hasobject else kind
-            raise SceneError(f"{path} holds {what}; it must hold one array of real numbers")
-        stated, there = math.prod(shape) * kind.itemsize, len(file.getbuffer()) - file.tell()
-        if stated < there and min(shape, default=0) >= 0:
-            raise SceneError(f"{path} is longer than its array; it is damaged: write it again with numpy.save")
-        if stated != there:
-            raise ValueError(f"its header states {stated} bytes of values, and it has {there}")
-        file.seek(0)
-        values: np.ndarray = np.load(file, allow_pickle=False)
-        return values
+        return array_in(io.BytesIO(read_bytes(path)), path)
+
+
+def array_in(file: BinaryIO, path: Path) -> np.ndarray:
+    """Return the real numbers of an open .npy file. Raises SceneError, or what numpy raises."""
+    shape, kind = array_header(file)
+    if kind.kind not in "fiu":
+        what = "Python objects" if kind.hasobject else kind
+        raise SceneError(f"{path} holds {what}; it must hold one array of real numbers")
+    start = file.tell()
+    stated, there = math.prod(shape) * kind.itemsize, file.seek(0, os.SEEK_END) - start
+    if stated < there and min(shape, default=0) >= 0:
+        raise SceneError(f"{path} is longer than its array; it is damaged: write it again with numpy.save")
+    if stated != there:
+        raise ValueError(f"its header states {stated} bytes of values, and it has {there}")
+    file.seek(0)
+    values: np.ndarray = np.load(file, allow_pickle=False)
+    return values
+
+
+def array_header(file: BinaryIO) -> tuple[tuple[int, ...], np.dtype]:
+    """Return shape and type of an open .npy file, which is then at the first value. Raises ValueError."""
+    file.seek(0)
+    major, _ = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+    shape, _, kind = read(file)
+    return shape, kind
 
 
 @contextmanager

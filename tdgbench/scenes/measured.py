@@ -15,21 +15,18 @@ import numpy as np
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.fillers import Fillers, find_apart, find_fillers, given_fillers, impossible
-from tdgbench.scenes.images import read_pixels
-from tdgbench.scenes.inputs import read_array
+from tdgbench.scenes.formats import decode, one_channel, raw_counts, read_celsius
 from tdgbench.scenes.options import ReadOptions
-from tdgbench.scenes.radiometric import read_celsius
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import PERCENTILES, CountScale, robust_range, sampled
-from tdgbench.scenes.validate import check_size
 from tdgbench.scenes.view_images import (
     UNMEASURED,
     ImageSource,
     MaskedImage,
     ThermalImages,
     decide_channels,
+    hidden_by,
     in_channels,
-    read_hidden,
     resample,
 )
 
@@ -51,6 +48,9 @@ CELSIUS_OF_IMAGES = replace(CELSIUS, dtype=np.float64)
 COUNTS = Unit("counts", 1)
 
 
+LIKE_KELVIN = (233.0, 343.0)  # -40 to 70 °C: a whole scene so hot is none that people walk about
+
+
 class Temperatures(NamedTuple):
     """Temperatures of a view in °C, or raw counts, as a file has them.
 
@@ -69,8 +69,12 @@ Reader = Callable[[Path], Temperatures]
 
 
 def read_counts(path: Path) -> Temperatures:
-    """Read a 16-bit image of raw counts."""
-    return Temperatures(read_pixels(path)[..., 0].astype(np.float32))
+    """Read an image of raw counts, of 16 bits or more."""
+    decoded = decode(path, as_picture=True)
+    values = raw_counts(one_channel(decoded, path), path).astype(np.float32)
+    if decoded.valid is not None:
+        values[~decoded.valid] = np.nan
+    return Temperatures(values)
 
 
 def read_radiometric(path: Path, scale: CountScale) -> Temperatures:
@@ -80,12 +84,7 @@ def read_radiometric(path: Path, scale: CountScale) -> Temperatures:
 
 def read_npy(path: Path, scale: CountScale) -> Temperatures:
     """Read an .npy file of °C, or of counts whose scale is known."""
-    values = read_array(path)
-    if values.ndim == 3 and values.shape[2] == 1:
-        values = values[..., 0]
-    if values.ndim != 2 or 0 in values.shape:
-        raise SceneError(f"{path} has the shape {values.shape}; temperatures are (H, W) or (H, W, 1), one per pixel")
-    check_size(values.shape[1], values.shape[0], str(path))
+    values = decode(path).values[..., 0]
     if values.dtype.kind in "iu" and scale.is_known:
         values = scale.degC(values)
     return Temperatures(values.astype(np.float32))
@@ -112,7 +111,7 @@ def measured_images(
         view = raw.pop(name)
         invalid = impossible(view.values) if view.is_masked else fillers.mask(view.values, view.block)
         filled.append(invalid.mean())
-        values, hidden = view.values[..., None], read_hidden(source, view.values[..., None])
+        values, hidden = view.values[..., None], hidden_by(source, view.values[..., None])
         measured[name] = resample(values, invalid if hidden is None else invalid | hidden, source)
     span = given or _range_of({name: measured[name] for name in train}, sources, unit)
     images, clipped, count = {}, 0, 0
@@ -127,10 +126,18 @@ def measured_images(
             f"{folder}: no temperature lies between {span.min:g} and {span.max:g} °C; correct data.temperature or "
             "temperature.json"
         )
-    notes = [*_about_fillers(fillers, filled, bool(known), unit), _about_range(span, given, clipped / count, unit)]
+    notes = _about_fillers(fillers, filled, bool(known), unit)
+    doubts = []
+    if unit is not COUNTS and given is None and LIKE_KELVIN[0] < span.min and span.max < LIKE_KELVIN[1]:
+        doubts = [f"temperatures of {span.min:g} to {span.max:g} °C look like kelvin; subtract 273.15, or ignore this"]
+    assumed = {
+        "values": "raw counts, of unknown °C" if unit is COUNTS else "°C",
+        "range": _about_range(span, given, clipped / count, unit),
+    }
     if unit is COUNTS:
-        return ThermalImages(images, channels, None, notes, raw_count_range=(round(span.min), round(span.max)))
-    return ThermalImages(images, channels, span, notes)
+        counts = round(span.min), round(span.max)
+        return ThermalImages(images, channels, None, notes, raw_count_range=counts, assumed=assumed)
+    return ThermalImages(images, channels, span, notes, assumed=assumed, doubts=doubts)
 
 
 def _find_fillers(views: Mapping[str, Temperatures], known: set[str], unit: Unit) -> Fillers:
@@ -187,8 +194,5 @@ def _about_fillers(fillers: Fillers, filled: list[float], are_known: bool, unit:
 
 def _about_range(span: TemperatureRange, given: TemperatureRange | None, clipped: float, unit: Unit) -> str:
     origin = "" if given else f", {PERCENTILES[0]:g} and {PERCENTILES[1]:g} percentile of the training views"
-    if unit is COUNTS:
-        what = f"thermal values are raw counts: image values 0 and 1 are {span.min:.0f} and {span.max:.0f} counts"
-    else:
-        what = f"the image's range is {span.min:.2f} to {span.max:.2f} °C"
-    return f"{what}{origin}; {clipped:.2%} of the pixels are outside and clipped"
+    low, high = (f"{value:.0f}" if unit is COUNTS else f"{value:.2f}" for value in (span.min, span.max))
+    return f"image values 0 and 1 are {low} and {high} {unit.name}{origin}; {clipped:.2%} of the pixels are clipped"

@@ -12,15 +12,16 @@ import numpy as np
 
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.formats import Header, header
 from tdgbench.scenes.images import read_image, with_channels
 from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
-from tdgbench.scenes.layouts.layout import find_files, find_optional
+from tdgbench.scenes.layouts.layout import Mask, by_view, find_images
 from tdgbench.scenes.options import Description, ReadOptions, split_names
 from tdgbench.scenes.scene import Camera, Scene, View, read_map
 from tdgbench.scenes.thermal import thermal_images
 from tdgbench.scenes.validate import check_camera
-from tdgbench.scenes.view_images import ImageSource, ThermalImages, resample
+from tdgbench.scenes.view_images import ImageSource, ThermalImages, native_camera, resample
 from tdgbench.text import first_few
 
 RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
@@ -40,7 +41,7 @@ class Outline:
 
 
 def outline_scene(folder: Path, description: Description, options: ReadOptions, layout: Layout | None) -> Outline:
-    """Read the scene in a folder, without decoding images. layout: None detects it, which a note says.
+    """Read the scene in a folder, without decoding images. layout: None detects it, which `assumed` says.
 
     Raises SceneError naming the file or view and the remedy.
     """
@@ -54,17 +55,21 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
     names, notes = _paired(folder, scene_files.posed, thermal)
     train, test, left_out = _split(folder, names, options.split, scene_files.shipped)
     names = sorted([*train, *test])
-    masks = find_optional(folder / "masks", "masks")
-    cameras = {name: _camera(scene_files.posed[name], options) for name in names}
-    sources = {
-        name: ImageSource(
-            thermal[name], scene_files.posed[name], cameras[name].width, cameras[name].height, masks.get(name)
-        )
-        for name in names
-    }
+    masks = scene_files.masks
+    sources, cameras = {}, {}
+    for name in names:
+        found, posed = _header(thermal[name], options.thermal == "shown"), scene_files.posed[name]
+        camera = cameras[name] = _camera(posed, found, options)
+        sources[name] = ImageSource(thermal[name], posed, camera.width, camera.height, masks.get(name), found)
     views = {name: _make_view(folder, sources[name], cameras[name], scene_files.rgb.get(name)) for name in names}
     truth = [path for name in names for path in (_truth(folder, "depth", name), _truth(folder, TRUE, name)) if path]
-    files = [*thermal.values(), *scene_files.rgb.values(), *masks.values(), *scene_files.files, *truth]
+    files = [
+        *thermal.values(),
+        *scene_files.rgb.values(),
+        *(mask.path for mask in masks.values()),
+        *scene_files.files,
+        *truth,
+    ]
     scene = Scene(
         name=description.scene,
         dataset=description.dataset,
@@ -76,11 +81,12 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         split=options.split,
         fingerprint=_fingerprint(folder, files),
         channels=0,
-        notes=[
-            *([f"layout {layout.title}: {layout.looks}"] if detected else []),
-            *scene_files.notes, *notes, *left_out, *_about_masks(masks, names),
-        ],
+        notes=[*scene_files.notes, *notes, *left_out, *_about_masks(masks, names)],
         folder=folder,
+        assumed={
+            **({"layout": f"{layout.title}: {layout.looks}"} if detected else {}),
+            **scene_files.assumed, **_about_sizes(sources, options), **_about_lenses(scene_files.posed, names),
+        },
     )  # fmt: skip
     published = layout.published(description.scene)
     return Outline(scene, lambda: _with_images(scene, thermal_images(scene_files, sources, train, options, published)))
@@ -94,7 +100,8 @@ def _with_images(scene: Scene, images: ThermalImages) -> Scene:
     return replace(
         scene, train=[whole(view) for view in scene.train], test=[whole(view) for view in scene.test],
         temperature=images.temperature, raw_count_range=images.raw_count_range, channels=images.channels,
-        notes=[*scene.notes, *images.notes],
+        notes=[*scene.notes, *images.notes], assumed={**scene.assumed, **images.assumed},
+        doubts=[*scene.doubts, *images.doubts],
     )  # fmt: skip
 
 
@@ -107,7 +114,7 @@ def _radiometric_files(folder: Path, scene_files: SceneFiles) -> dict[str, Path]
             f"{folder} has no {RAW_IMAGES}/ folder of radiometric files, which data.thermal=radiometric reads; add it, "
             "or use data.thermal=shown"
         )
-    raw = find_files(folder / RAW_IMAGES)[0]
+    raw = by_view(folder, find_images(folder / RAW_IMAGES), scene_files.posed).paths
     if not set(raw) & set(scene_files.thermal):
         raise SceneError(
             f"{folder / RAW_IMAGES} and the thermal images have no view in common ({sorted(raw)[:2]}, "
@@ -155,9 +162,17 @@ def _split(
         raise SceneError(f"{folder}: {error}") from error
 
 
-def _camera(posed: RegisteredImage, options: ReadOptions) -> Camera:
-    """Return the camera of a view's images as they are resized."""
-    camera = posed.camera
+def _header(path: Path, as_picture: bool) -> Header | None:
+    """Return what a thermal file says of its pixels; None if it cannot be read, which decoding it says."""
+    try:
+        return header(path, as_picture)
+    except SceneError:
+        return None
+
+
+def _camera(posed: RegisteredImage, found: Header | None, options: ReadOptions) -> Camera:
+    """Return the camera of a view's images: of the size that the thermal image has, or is resized to."""
+    camera = native_camera(posed, None if found is None else (found.width, found.height))
     if options.principal_point == "center":
         K = camera.K.copy()
         K[:2, 2] = camera.width / 2, camera.height / 2
@@ -166,6 +181,32 @@ def _camera(posed: RegisteredImage, options: ReadOptions) -> Camera:
         return camera
     camera = camera.resized(options.width, max(1, round(camera.height * options.width / camera.width)))
     return check_camera(camera, f"data.width={options.width}: view {posed.name}")
+
+
+def _about_sizes(sources: Mapping[str, ImageSource], options: ReadOptions) -> dict[str, str]:
+    """Return what images were resized from and to, and by what; and what their files state that is not applied."""
+    known = [source.header for source in sources.values() if source.header is not None]
+    native = {(one.width, one.height) for one in known}
+    cameras = {source.posed.source_size for source in sources.values()}
+    text = f"{_sizes(native)} px, as the files have"
+    if native != cameras:
+        text += f"; cameras are of {_sizes(cameras)} px, and their intrinsics follow the images"
+    if options.width is not None:
+        used = _sizes({(source.width, source.height) for source in sources.values()})
+        text += f"; resized to {used} px (data.width): area average to shrink, bilinear to grow"
+    pixels = dict.fromkeys(line for one in known for line in one.assumed)
+    return {"size": text} | ({"pixels": "; ".join(pixels)} if pixels else {})
+
+
+def _sizes(sizes: set[tuple[int, int]]) -> str:
+    return first_few([f"{width}×{height}" for width, height in sorted(sizes)])
+
+
+def _about_lenses(posed: Mapping[str, RegisteredImage], names: list[str]) -> dict[str, str]:
+    """Return the lenses whose distortion is removed; nothing for pinholes."""
+    lenses = [posed[name].undistortion for name in names]
+    models = sorted({one.source.model_name for one in lenses if one is not None})
+    return {"lens": f"{', '.join(models)}: distortion removed, bilinear"} if models else {}
 
 
 def _make_view(folder: Path, source: ImageSource, camera: Camera, rgb: Path | None) -> View:
@@ -200,15 +241,10 @@ def _load_rgb(source: ImageSource) -> np.ndarray:
     return np.ascontiguousarray(with_channels(image, 3), np.float32)
 
 
-def _about_masks(masks: Mapping[str, Path], names: list[str]) -> list[str]:
-    """Return notes on masks/."""
-    if not masks:
-        return []
+def _about_masks(masks: Mapping[str, Mask], names: list[str]) -> list[str]:
+    """Return a note on masks that hide nothing."""
     unknown = sorted(set(masks) - set(names))
-    notes = [f"masks/ hides pixels of {len(masks) - len(unknown)} of {len(names)} views"]
-    if unknown:
-        notes.append(f"{len(unknown)} masks belong to no view and are not used: {first_few(unknown)}")
-    return notes
+    return [f"{len(unknown)} masks belong to no view and are not used: {first_few(unknown)}"] if unknown else []
 
 
 def _fingerprint(folder: Path, files: Iterable[Path]) -> str:

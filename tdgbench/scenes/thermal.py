@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import storage
+from tdgbench.scenes.formats import header
 from tdgbench.scenes.layouts import SceneFiles
 from tdgbench.scenes.measured import CELSIUS_OF_IMAGES, COUNTS, measured_images, read_counts, read_npy, read_radiometric
 from tdgbench.scenes.options import ReadOptions
@@ -53,15 +53,17 @@ def _of_images(
     """Read thermal images as their files show them; float images hold °C, 16-bit ones without a range raw counts."""
     stored: dict[str, list[str]] = {}
     for name, source in sources.items():
-        stored.setdefault(storage(source.path), []).append(name)
-    hold_counts = radiometry is None and "16-bit" in stored
+        found = source.header or header(source.path, as_picture=True)
+        gain = f" TIFF of TlinearGain {found.scale.degC_per_count:g}" if found.scale.is_known else ""
+        stored.setdefault(found.depth + gain, []).append(name)
+    hold_counts = radiometry is None and any(kind.startswith("16-bit") for kind in stored)
     if len(stored) > 1 and ("float" in stored or hold_counts):
         parts = ", ".join(f"{len(names)} {kind} ({first_few(names)})" for kind, names in sorted(stored.items()))
         raise SceneError(
             f"{next(iter(sources.values())).path.parent} holds images of several kinds: {parts}. Float images "
             "are in °C, 16-bit ones without a range raw counts, 8-bit ones neither; export all of them alike"
         )
-    if "float" in stored:
+    if "float" in stored or (hold_counts and "16-bit" not in stored):
         given = None if radiometry is None else radiometry.range
         return measured_images(
             sources, partial(read_radiometric, scale=CountScale()), train, options, given, CELSIUS_OF_IMAGES
@@ -81,14 +83,14 @@ def _of_pictures(
     published: TemperatureRange | None,
 ) -> ThermalImages:
     """Read thermal images from gray images of temperatures; views that are not in `pictures` have arrays."""
-    notes = []
+    notes, how = [], "gray, of known °C"
     if radiometry is None:
         if published is None:
             raise SceneError(
                 f"{sources[pictures[0]].path.parent} holds gray images, and no temperatures of black and white are "
                 "published for a scene of this name; set data.temperature=[min,max] in °C, or add temperature.json"
             )
-        notes.append(f"black and white of gray images are {published.min:g} and {published.max:g} °C, as published")
+        how = f"gray; black and white are {published.min:g} and {published.max:g} °C, as published"
         radiometry = Radiometry(published)
     if len(pictures) < len(sources):
         arrays = len(sources) - len(pictures)
@@ -101,4 +103,4 @@ def _of_pictures(
         )
     reader = WarpedPictures(radiometry, files.unwarped, options.fillers is None)
     images = measured_images(sources, reader, train, options, radiometry.range)
-    return replace(images, notes=[*notes, *images.notes])
+    return replace(images, notes=[*notes, *images.notes], assumed={**images.assumed, "values": how})

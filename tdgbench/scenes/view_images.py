@@ -11,11 +11,15 @@ import numpy as np
 
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import is_gray, read_image, resize, with_channels
-from tdgbench.scenes.scene import TemperatureRange
+from tdgbench.scenes.formats import Header, decode
+from tdgbench.scenes.images import is_gray, resize, unit_image, with_channels
+from tdgbench.scenes.layouts.layout import Mask
+from tdgbench.scenes.scene import Camera, TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 
 ASPECT_TOLERANCE = 0.01
+LOSSY = ("JPEG", "MPO", "WEBP")
+PALETTE = "palette (pseudo-colour), not temperature"
 UNMEASURED = 0.0  # image value of pixels that are not valid
 
 
@@ -27,7 +31,8 @@ class ImageSource:
     posed: RegisteredImage
     width: int  # px
     height: int  # px
-    mask: Path | None = None
+    mask: Mask | None = None
+    header: Header | None = None  # None: it cannot be read
 
 
 class MaskedImage(NamedTuple):
@@ -46,14 +51,20 @@ class ThermalImages:
     temperature: TemperatureRange | None
     notes: list[str] = field(default_factory=list)
     raw_count_range: tuple[int, int] | None = None
+    assumed: dict[str, str] = field(default_factory=dict)  # as of Scene
+    doubts: list[str] = field(default_factory=list)
 
 
 def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | None, wanted: int | str) -> ThermalImages:
     """Read images as their files show them. wanted: number of channels, 1, 3 or `auto`. Raises SceneError."""
     images = {name: _read_shown(source, radiometry) for name, source in sources.items()}
-    channels = decide_channels(wanted, all(view.image.shape[2] == 1 for view in images.values()))
+    are_gray = all(view.image.shape[2] == 1 for view in images.values())
+    channels = decide_channels(wanted, are_gray)
     images = {name: in_channels(view, channels) for name, view in images.items()}
-    return ThermalImages(images, channels, None if radiometry is None else radiometry.range)
+    span = None if radiometry is None else radiometry.range
+    known = "of unknown °C" if span is None else f"0 and 1 are {span.min:g} and {span.max:g} °C"
+    assumed = {"values": f"gray, {known}" if are_gray else PALETTE}
+    return ThermalImages(images, channels, span, assumed=assumed)
 
 
 def decide_channels(wanted: int | str, are_gray: bool) -> int:
@@ -69,26 +80,35 @@ def in_channels(view: MaskedImage, channels: int) -> MaskedImage:
 
 
 def _read_shown(source: ImageSource, radiometry: Radiometry | None) -> MaskedImage:
-    image = read_image(source.path, radiometry)
+    decoded = decode(source.path, as_picture=True)
+    image = unit_image(decoded, source.path, radiometry)
     if is_gray(image):
         image = np.ascontiguousarray(image[..., :1])
-    image, valid = resample(image, read_hidden(source, image), source)
+    image, valid = resample(image, hidden_by(source, image, decoded.valid), source)
     if valid is not None:
         image[~valid] = UNMEASURED
     return MaskedImage(image, valid)
 
 
-def read_hidden(source: ImageSource, image: np.ndarray) -> np.ndarray | None:
-    """Read the pixels (H, W) bool of an image (H, W, C) that the view's mask hides, or None. Raises SceneError.
+def hidden_by(source: ImageSource, image: np.ndarray, valid: np.ndarray | None = None) -> np.ndarray | None:
+    """Return the pixels (H, W) bool of an image (H, W, C) that its file or the view's mask hides, or None.
 
-    A mask hides where all its channels are 0. One of another size is resized; a pixel that is partly hidden is hidden.
+    valid: (H, W) bool, of its file. A mask hides where all its channels are 0, or where they are not if it is inverted;
+    that of a JPEG, whose levels are rounded, below or from the middle. One of another size is resized; a pixel that is
+    partly hidden is hidden. Raises SceneError.
     """
     if source.mask is None:
-        return None
-    mask = read_image(source.mask)
-    check_aspect(source.mask, mask, source.posed)
-    hidden = (mask == 0).all(axis=2, keepdims=True).astype(np.float32)
-    return resize(hidden, image.shape[1], image.shape[0])[..., 0] > 0
+        return None if valid is None else ~valid
+    path = source.mask.path
+    mask = decode(path, as_picture=True)
+    check_aspect(path, mask.values, source.posed)
+    middle = 128 if mask.header.format in LOSSY else 1
+    dark = (mask.values < middle).all(axis=2)
+    hidden = np.asarray(~dark if source.mask.inverted else dark)
+    if mask.valid is not None:
+        hidden |= ~mask.valid
+    hidden = resize(hidden[..., None].astype(np.float32), image.shape[1], image.shape[0])[..., 0] > 0
+    return hidden if valid is None else hidden | ~valid
 
 
 def resample(image: np.ndarray, invalid: np.ndarray | None, source: ImageSource) -> MaskedImage:
@@ -115,12 +135,25 @@ def _resample(image: np.ndarray, source: ImageSource) -> np.ndarray:
     return resize(image, source.width, source.height)
 
 
+def native_camera(posed: RegisteredImage, size: tuple[int, int] | None) -> Camera:
+    """Return the pinhole of a view's images of a size, (width, height) in px; None: the camera's. As 3DGS does.
+
+    COLMAP may have run on images of another size, as on RGB ones; the intrinsics follow the image.
+    """
+    camera = posed.camera
+    if size is None or size == posed.source_size:
+        return camera
+    undistortion = posed.undistortion
+    return camera.resized(*(size if undistortion is None else undistortion.size_for(*size)))
+
+
 def check_aspect(path: Path, image: np.ndarray, posed: RegisteredImage) -> None:
     """Raise SceneError unless an image (H, W, ...) has the aspect ratio of its camera."""
     height, width = image.shape[:2]
     source = posed.source_size
     if abs(width / height * source[1] / source[0] - 1) > ASPECT_TOLERANCE:
+        is_turned = abs(height / width * source[1] / source[0] - 1) <= ASPECT_TOLERANCE
+        remedy = "turn the image upright" if is_turned else "export the image again, or correct the camera"
         raise SceneError(
-            f"{path} is {width}×{height}, but its camera is {source[0]}×{source[1]}: the aspect ratios differ; "
-            "export the image again, or correct the camera"
+            f"{path} is {width}×{height}, but its camera is {source[0]}×{source[1]}: the aspect ratios differ; {remedy}"
         )

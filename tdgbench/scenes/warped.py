@@ -23,7 +23,8 @@ from scipy import ndimage
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.fillers import grown
-from tdgbench.scenes.images import read_image
+from tdgbench.scenes.formats import decode
+from tdgbench.scenes.images import unit_image
 from tdgbench.scenes.measured import Temperatures, read_npy
 from tdgbench.scenes.temperature import Radiometry
 
@@ -66,7 +67,7 @@ class WarpedPictures:
 
     def _gray(self, path: Path) -> np.ndarray:
         """Return the image (H, W) float32 in [0, 1]. Raises SceneError for one in colours."""
-        image = read_image(path, self.radiometry)
+        image = unit_image(decode(path, as_picture=True), path, self.radiometry)
         if np.ptp(image, axis=2).max() > MOST_COLOR:
             raise SceneError(
                 f"{path} is in colours, but temperatures are read from gray images; replace it by the gray image, or "

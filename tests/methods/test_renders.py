@@ -222,10 +222,10 @@ FAULTS = {
     "cannot be read as an .npy array": lambda path, values: path.write_bytes(b"\x80\x04cos\nsystem\n"),
     "are both of view": lambda path, values: path.with_suffix(".png").write_bytes(b""),
     "files of no test view": lambda path, values: (path.parent / "notes.txt").write_text(""),
-    "of mode I;16": lambda path, values: (
+    "is PNG of 16-bit": lambda path, values: (
         path.unlink(), Image.fromarray(np.zeros((36, 48), np.uint16)).save(path.with_suffix(".png"))
     ),
-    "is JPEG of mode L": lambda path, values: (
+    "is JPEG of 8-bit": lambda path, values: (
         path.unlink(), Image.fromarray(np.zeros((36, 48), np.uint8)).save(path.with_suffix(".png"), "JPEG")
     ),
 }  # fmt: skip

@@ -55,7 +55,7 @@ def test_a_map_of_another_size_is_resized(small_scene, tmp_path):
 def test_a_coloured_picture_is_no_depth_map(small_scene, tmp_path):
     view = small_scene.train[0]
     Image.new("RGB", (48, 36)).save(tmp_path / f"{view.name}.png")
-    with pytest.raises(PriorError, match=r"view001\.png cannot be read as a depth map: it has mode RGB"):
+    with pytest.raises(PriorError, match=r"view001\.png cannot be read as a depth map: it has 3 channels"):
         FilePrior(str(tmp_path), "depth").estimate(small_scene, view)
 
 

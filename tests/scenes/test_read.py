@@ -40,7 +40,7 @@ def test_channels_are_detected_or_forced(data_root):
 def test_errors_name_the_file(folder):
     (folder / "thermal" / "view003.png").unlink()
     scene = load(folder)
-    assert len(scene.views) == 9 and "view003" in scene.notes[1]
+    assert len(scene.views) == 9 and "view003" in scene.notes[0]
     (folder / "thermal" / "view004.png").write_bytes(b"no image")
     with pytest.raises(SceneError, match=r"view004\.png cannot be read"):
         load(folder)
@@ -49,7 +49,7 @@ def test_errors_name_the_file(folder):
 def test_views_without_pose_are_omitted(folder):
     shutil.copy(folder / "thermal" / "view001.png", folder / "thermal" / "extra.png")
     scene = load(folder)
-    assert len(scene.views) == 10 and "extra" in scene.notes[1]
+    assert len(scene.views) == 10 and "extra" in scene.notes[0]
 
 
 def test_duplicates_and_wrong_shapes(folder):

@@ -46,7 +46,7 @@ def test_float_images_are_read_as_arrays_are(small_gray_scene, tmp_path, change,
         small_gray_scene, tmp_path / "arrays", camera="PINHOLE", change=lambda d, number: change(d)
     )
     arrays = load(arrays, **options)
-    assert images.temperature == arrays.temperature and images.channels == 1 and images.notes[2:] == arrays.notes[2:]
+    assert images.temperature == arrays.temperature and images.channels == 1 and images.notes[1:] == arrays.notes[1:]
     for one, other in zip(images.views, arrays.views, strict=True):
         assert np.abs(one.thermal - other.thermal).max() < 1e-6
         assert np.array_equal(one.valid, other.valid) if other.valid is not None else one.valid is None
@@ -78,8 +78,8 @@ def test_raw_counts_have_a_range_and_no_temperature(small_gray_scene, tmp_path, 
     together = np.concatenate([stored[view.name].ravel() for view in scene.train])
     low, high = np.percentile(together, [0.1, 99.9], method="nearest").tolist()
     assert scene.raw_count_range == (low, high) and scene.temperature is None and scene.channels == 1
-    assert scene.notes[-1].startswith(
-        f"thermal values are raw counts: image values 0 and 1 are {low} and {high} counts, 0.1 and 99.9 percentile"
+    assert scene.assumed["range"].startswith(
+        f"image values 0 and 1 are {low} and {high} counts, 0.1 and 99.9 percentile"
     )
     for view in scene.views:
         assert view.valid is None
@@ -108,7 +108,7 @@ def test_counts_whose_meaning_is_stated_stay_as_they_are(small_gray_scene, tmp_p
 def test_a_frame_far_from_all_counts_is_masked(small_gray_scene, tmp_path):
     whole = load(write(small_gray_scene, tmp_path / "whole", counts))
     scene = load(write(small_gray_scene, tmp_path / "scene", lambda d: np.where(FRAME, 0, counts(d)).astype(np.uint16)))
-    assert abs(scene.raw_count_range[0] - whole.raw_count_range[0]) <= 2 and "filled with 0 counts" in scene.notes[-2]
+    assert abs(scene.raw_count_range[0] - whole.raw_count_range[0]) <= 2 and "filled with 0 counts" in scene.notes[-1]
     assert all(not view.valid[:, :7].any() and view.valid[:, 7:].all() for view in scene.views)
     assert load(scene.folder, fillers=[]).raw_count_range[0] == 0
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 import pycolmap
@@ -27,35 +26,50 @@ class Undistortion:
     source: pycolmap.Camera
     pinhole: pycolmap.Camera
     where: str  # file and camera, for messages
+    _known: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, compare=False)
 
     @property
     def source_size(self) -> tuple[int, int]:
         """Width and height of the distorted image, px."""
         return self.source.width, self.source.height
 
-    @cached_property
+    @property
     def positions(self) -> tuple[np.ndarray, np.ndarray]:
-        """Row and column (H, W) of each pinhole pixel in the distorted image, float64 pixel indices.
+        """`positions_at` the pinhole's own size."""
+        return self.positions_at(self.pinhole.width, self.pinhole.height)
 
-        Raises SceneError if they make no image: the distortion is damaged.
+    def positions_at(self, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return row and column (height, width) in the distorted image, float64 pixel indices, of a pinhole's pixels.
+
+        The pinhole is resized to width × height px; the distorted image has the camera's size. Raises SceneError if the
+        positions make no image: the distortion is damaged.
         """
-        width, height = self.pinhole.width, self.pinhole.height
+        if (width, height) in self._known:
+            return self._known[width, height]
         rows, columns = np.empty((height, width)), np.empty((height, width))
+        across, down = self.pinhole.width / width, self.pinhole.height / height
         step = max(1, BLOCK // width)
         for first in range(0, height, step):
             block = slice(first, min(first + step, height))
-            x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(block.start, block.stop) + 0.5)
+            x, y = np.meshgrid((np.arange(width) + 0.5) * across, (np.arange(block.start, block.stop) + 0.5) * down)
             rays = self.pinhole.cam_from_img(np.stack([x.ravel(), y.ravel()], axis=-1))
             pixels = self.source.img_from_cam(np.concatenate([rays, np.ones((len(rays), 1))], axis=1))
             columns[block], rows[block] = (pixels - 0.5).T.reshape(2, *x.shape)
         self._check(rows, columns)
+        self._known[width, height] = rows, columns
         return rows, columns
 
+    def size_for(self, width: int, height: int) -> tuple[int, int]:
+        """Return width and height of the pinhole of images of width × height px, which may not be the camera's."""
+        across, down = width / self.source.width, height / self.source.height
+        return max(1, round(self.pinhole.width * across)), max(1, round(self.pinhole.height * down))
+
     def apply(self, image: np.ndarray) -> np.ndarray:
-        """Resample an image (H, W, C) bilinearly to (H', W', C) of the pinhole; the border is replicated."""
+        """Resample an image (H, W, C) of any size bilinearly to `size_for` that size; the border is replicated."""
         height, width = image.shape[:2]
-        rows = (self.positions[0] + 0.5) * height / self.source_size[1] - 0.5
-        columns = (self.positions[1] + 0.5) * width / self.source_size[0] - 0.5
+        positions = self.positions_at(*self.size_for(width, height))
+        rows = (positions[0] + 0.5) * height / self.source_size[1] - 0.5
+        columns = (positions[1] + 0.5) * width / self.source_size[0] - 0.5
         planes = [
             map_coordinates(image[..., c], [rows, columns], order=1, mode="nearest") for c in range(image.shape[2])
         ]

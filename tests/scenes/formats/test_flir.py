@@ -4,16 +4,10 @@ from pathlib import Path
 import flyr
 import numpy as np
 import pytest
-from PIL import Image, TiffImagePlugin
+from PIL import Image
 
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.radiometric import (
-    PhotoMapping,
-    is_radiometric,
-    read_celsius,
-    read_thermogram,
-)
-from tdgbench.scenes.temperature import CountScale
+from tdgbench.scenes.formats import PhotoMapping, decode, header, read_celsius
 from tests.helpers.flir import FlirCamera, flir_segments, with_segments, write_flir
 
 CAMERA = FlirCamera()
@@ -48,12 +42,12 @@ def test_photo_and_its_mapping(tmp_path):
     photo = np.zeros((60, 80, 3), np.uint8)
     photo[:, 40:] = (200, 100, 50)
     write_flir(tmp_path / "t.jpg", COUNTS, photo, mapping=(1.25, -10, 5))
-    read = read_thermogram(tmp_path / "t.jpg").photo
+    read = decode(tmp_path / "t.jpg").photo
     assert read.shape == photo.shape and read.dtype == np.uint8
     assert np.abs(read[:, 60].astype(int) - photo[:, 60]).max() <= 3
-    assert read_thermogram(tmp_path / "t.jpg").mapping == PhotoMapping(1.25, -10, 5)
+    assert decode(tmp_path / "t.jpg").mapping == PhotoMapping(1.25, -10, 5)
     write_flir(tmp_path / "without.jpg", COUNTS)
-    without = read_thermogram(tmp_path / "without.jpg")
+    without = decode(tmp_path / "without.jpg")
     assert without.photo is None and without.mapping is None
 
 
@@ -63,29 +57,23 @@ def test_several_segments(tmp_path):
     assert np.allclose(read_celsius(tmp_path / "t.jpg"), CAMERA.celsius(noise), atol=1e-3)
 
 
-def test_tiff(tmp_path):
-    Image.fromarray(CELSIUS.astype(np.float32)).save(tmp_path / "float.tiff")
-    assert np.allclose(read_celsius(tmp_path / "float.tiff"), CELSIUS, atol=1e-5)
-    counts = np.round((CELSIUS + 100) * 40).astype(np.uint16)
-    for name in ("counts.tiff", "counts.png"):
-        Image.fromarray(counts).save(tmp_path / name)
-        assert np.allclose(read_celsius(tmp_path / name, CountScale(1 / 40, -100)), counts / 40 - 100, atol=1e-9)
-        with pytest.raises(SceneError, match="degC_per_count"):
-            read_celsius(tmp_path / name)
-
-
-def test_invalid_temperatures_are_nan(tmp_path):
-    degC = CELSIUS.astype(np.float32)
-    degC[0, :3] = np.nan, np.inf, -300
-    Image.fromarray(degC).save(tmp_path / "t.tiff")
-    assert np.isnan(read_celsius(tmp_path / "t.tiff"))[0].tolist() == [True] * 3 + [False] * 29
+def test_impossible_temperatures_are_nan(tmp_path):
     counts = COUNTS.copy()
     counts[3, 4] = 100  # below -O: no temperature
     write_flir(tmp_path / "t.jpg", counts)
     assert np.argwhere(np.isnan(read_celsius(tmp_path / "t.jpg"))).tolist() == [[3, 4]]
-    Image.fromarray(np.full((4, 4), np.nan, np.float32)).save(tmp_path / "none.tiff")
-    with pytest.raises(SceneError, match=r"none\.tiff holds no temperature"):
-        read_celsius(tmp_path / "none.tiff")
+
+
+def test_temperatures_need_no_photo(tmp_path):
+    """The embedded photo is damaged: its loss is stated, the temperatures are those of the counts."""
+    photo = np.random.default_rng(0).integers(0, 255, (60, 80, 3), np.uint8)
+    write_flir(tmp_path / "t.jpg", COUNTS, photo, mapping=(1.25, -10, 5))
+    content = (tmp_path / "t.jpg").read_bytes()
+    place = content.index(b"\xff\xd8", content.index(b"FFF\0"))
+    (tmp_path / "t.jpg").write_bytes(content[:place] + bytes(200) + content[place + 200 :])
+    decoded = decode(tmp_path / "t.jpg")
+    assert decoded.photo is None and "photo cannot be decoded" in decoded.lost
+    assert np.allclose(decoded.values[..., 0], CAMERA.celsius(COUNTS), atol=1e-3)
 
 
 def test_content_decides(tmp_path):
@@ -94,24 +82,14 @@ def test_content_decides(tmp_path):
     Image.fromarray(np.uint8(CELSIUS)).save(tmp_path / "gray.tiff")
     Image.fromarray(np.uint8(CELSIUS)).save(tmp_path / "plain.jpg")
     Image.fromarray(COUNTS).save(tmp_path / "counts.png")
-    found = {p.name: is_radiometric(p) for p in tmp_path.iterdir()}
-    assert found == {
-        "flir.png": True, "float.tiff": True, "gray.tiff": False, "plain.jpg": False, "counts.png": False,
+    assert {p.name: header(p).meaning for p in tmp_path.iterdir()} == {
+        "flir.png": "°C", "float.tiff": "°C", "gray.tiff": "shown", "plain.jpg": "shown", "counts.png": "counts",
     }  # fmt: skip
-    with pytest.raises(SceneError, match=r"plain\.jpg holds no temperatures"):
-        read_celsius(tmp_path / "plain.jpg")
-    with pytest.raises(SceneError, match=r"gray\.tiff has mode L"):
-        read_celsius(tmp_path / "gray.tiff")
-
-
-def test_dji_names_the_remedy(tmp_path):
-    Image.fromarray(np.uint8(CELSIUS)).save(tmp_path / "plain.jpg")
-    exif = b"\xff\xe1\x00\x20" + b"Exif\0\0MM DJI".ljust(30, b"\0")
-    app3 = b"\xff\xe3\x00\x10" + bytes(14)
-    (tmp_path / "dji.jpg").write_bytes(with_segments((tmp_path / "plain.jpg").read_bytes(), [exif, app3]))
-    assert is_radiometric(tmp_path / "dji.jpg")
-    with pytest.raises(SceneError, match=r"dji\.jpg is .* of DJI.* export it as float TIFF.* degC_per_count"):
-        read_celsius(tmp_path / "dji.jpg")
+    assert header(tmp_path / "flir.png")[1:3] == (32, 24)
+    assert header(tmp_path / "flir.png", as_picture=True).meaning == "shown"
+    for name in ("plain.jpg", "gray.tiff"):
+        with pytest.raises(SceneError, match=rf"{name} holds no temperatures: it is a picture"):
+            read_celsius(tmp_path / name)
 
 
 def test_damaged_files_are_one_error(tmp_path):
@@ -158,45 +136,12 @@ def test_real_flir_files(name):
     if "TDGBENCH_FLIR" not in os.environ:
         pytest.skip("TDGBENCH_FLIR=FOLDER names no folder of real FLIR files")
     path = Path(os.environ["TDGBENCH_FLIR"]) / name
-    thermogram = read_thermogram(path)
-    assert is_radiometric(path) and thermogram.photo.shape == (1440, 1080, 3)
-    assert np.array_equal(thermogram.celsius, flyr.unpack(str(path)).celsius)
+    thermogram = decode(path)
+    assert thermogram.photo.shape == (1440, 1080, 3)
+    assert np.array_equal(thermogram.values[..., 0], flyr.unpack(str(path)).celsius)
     assert thermogram.settings["emissivity"] == pytest.approx(0.95)
     assert thermogram.mapping == PhotoMapping(pytest.approx(1.2446, abs=1e-4), -10, -45)
-    counts = np.array([thermogram.celsius.min(), np.median(thermogram.celsius), thermogram.celsius.max()])
+    counts = np.array(
+        [thermogram.values[..., 0].min(), np.median(thermogram.values[..., 0]), thermogram.values[..., 0].max()]
+    )
     assert -26 < counts[0] < -20 < 10 < counts[1] < 20 < counts[2] < 30  # a clear sky above a warm facade
-
-
-def with_gain(path, text):
-    """A TIFF of counts with FLIR's XMP, as the Vue Pro writes it: the description's start tag is not closed."""
-    directory = TiffImagePlugin.ImageFileDirectory_v2()
-    directory[700] = f'<rdf:Description xmlns:FLIR="http://ns.flir.com/xmp/1.0/"\r\n<Camera:{text}'.encode()
-    Image.fromarray(np.full((4, 5), 7300, np.uint16)).save(path, tiffinfo=directory)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("text", "given", "degC"),
-    [
-        ("TlinearGain>0.04</Camera:TlinearGain>", CountScale(), 7300 * 0.04 - 273.15),
-        ('x FLIR:TlinearGain="0.01"', CountScale(0.01, -273.15), 7300 * 0.01 - 273.15),
-        ("TlinearGain>0.00</Camera:TlinearGain>", CountScale(0.002, 1), 15.6),  # TLinear is off
-        ("TlinearGain>0.1</Camera:TlinearGain>", CountScale(0.002, 1), 15.6),
-        ("BandName>LWIR", CountScale(0.002, 1), 15.6),
-    ],
-)
-def test_counts_mean_what_the_file_states(tmp_path, text, given, degC):
-    assert np.allclose(read_celsius(with_gain(tmp_path / "a.tiff", text), given), degC)
-
-
-@pytest.mark.parametrize(
-    ("gain", "given", "what"),
-    [
-        ("0.00", CountScale(), "a.tiff holds counts; say which temperature"),
-        ("0.1", CountScale(), "a.tiff states TlinearGain 0.1, .*manuals do not name: say degC_per_count"),
-        ("0.04", CountScale(0.4, -273.15), "a.tiff states TlinearGain 0.04, .*: leave out degC_per_count"),
-    ],
-)
-def test_no_gain_is_guessed(tmp_path, gain, given, what):
-    with pytest.raises(SceneError, match=what):
-        read_celsius(with_gain(tmp_path / "a.tiff", f"TlinearGain>{gain}<"), given)

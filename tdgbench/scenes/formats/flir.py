@@ -1,0 +1,147 @@
+"""FLIR radiometric JPEG: temperatures, and the photo beside them.
+
+Decoded by flyr 5 (https://bitbucket.org/nimmerwoner/flyr, EUPL 1.2). Its temperature is the object's, as the camera
+would show it: counts are corrected with the emissivity, distance, humidity, atmospheric, reflected and window
+temperatures that the file itself states (`flyr/thermogram.py`); T = B / ln(R1 / (R2 (DN + O)) + F) in kelvin.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from PIL import Image
+
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.formats.decoded import Decoded, Format, Header, PhotoMapping, Source
+from tdgbench.scenes.formats.pictures import jpeg_segments
+from tdgbench.scenes.inputs import decoding
+
+SEGMENT = b"FLIR\0"  # ExifTool, lib/Image/ExifTool/JPEG.pm: APP1 "FLIR"
+JPEG_LS = b"\xff\xd8\xff\xf7"  # SOI and SOF55: raw counts that some cameras compress losslessly
+MOST_RECORDS = 4096  # of a file; cameras write 2 to 100
+VERSIONS = range(100, 200)  # of the file format, by which ExifTool's FLIR.pm tells the byte order
+NAME = "FLIR radiometric JPEG"
+REMEDY = "copy it again from the camera, or leave it out"
+
+
+def _fits(source: Source) -> bool:
+    return not source.as_picture and any(
+        name == "APP1" and content.startswith(SEGMENT) for name, content in jpeg_segments(source)
+    )
+
+
+def _header(source: Source) -> Header:
+    with decoding(source.path, f"a {NAME}", REMEDY):
+        stream, records = _records(source)
+        return _header_of(stream, records).checked(source.path)
+
+
+def _decode(source: Source) -> Decoded:
+    with decoding(source.path, f"a {NAME}", REMEDY), warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        return _decode_records(source)
+
+
+def _header_of(stream: BinaryIO, records: dict[int, tuple[int, int, int, int]]) -> Header:
+    from flyr.records import RecordIndex
+
+    return Header(NAME, *_raw_size(stream, records[RecordIndex.RAW_DATA.value]), "float", "°C")
+
+
+def _records(source: Source) -> tuple[BinaryIO, dict[int, tuple[int, int, int, int]]]:
+    """Return the file inside the JPEG's segments, and its records by type. Raises SceneError where one is missing."""
+    from flyr.records import RecordIndex, extract_flir_app1
+
+    source.file.seek(0)
+    stream = extract_flir_app1(io.BytesIO(source.file.read()))
+    records = _directory(stream, source.path)
+    for needed in (RecordIndex.RAW_DATA, RecordIndex.CAMERA_INFO):
+        if needed.value not in records:
+            what = f"a FLIR segment without {needed.name.lower()}"
+            raise SceneError(f"{source.path} has {what}; use the camera's original file")
+    return stream, records
+
+
+def _decode_records(source: Source) -> Decoded:
+    from flyr.embedded_image import parse_embedded_image
+    from flyr.picture_in_picture import parse_pip_info
+    from flyr.records import RecordIndex
+    from flyr.thermal import parse_camera_info
+    from flyr.thermogram import FlyrThermogram
+
+    stream, records = _records(source)
+    header = _header_of(stream, records).checked(source.path)
+    settings = parse_camera_info(stream, records[RecordIndex.CAMERA_INFO.value])
+    counts = _raw_counts(stream, records[RecordIndex.RAW_DATA.value], source.path)
+    photo, mapping, lost = None, None, ""
+    if RecordIndex.EMBEDDED_IMAGE.value in records:
+        try:
+            photo = _as_rgb(parse_embedded_image(stream, records[RecordIndex.EMBEDDED_IMAGE.value])[2])
+        except Exception as error:  # of flyr and Pillow, of many kinds; the temperatures do not depend on it
+            lost = f"its embedded photo cannot be decoded ({type(error).__name__})"
+    if RecordIndex.PICTURE_IN_PICTURE_INFO.value in records:
+        pip = parse_pip_info(stream, records[RecordIndex.PICTURE_IN_PICTURE_INFO.value])
+        mapping = PhotoMapping(float(pip.real_to_ir), int(pip.offset_x), int(pip.offset_y))
+    celsius = FlyrThermogram(counts, settings).celsius.astype(np.float64)
+    stated = {key: float(value) for key, value in settings.items()}
+    return Decoded(celsius[..., None], header, None, photo, lost, mapping, stated)
+
+
+def _directory(stream: BinaryIO, path: Path) -> dict[int, tuple[int, int, int, int]]:
+    """Return records by type, as flyr's parsers take them: place in the directory, type, offset and length in bytes.
+
+    Zenmuse XT writes the directory little-endian, other cameras big-endian; flyr reads the latter alone.
+    """
+    header = stream.read(0x20)
+    order = next((order for order in "><" if struct.unpack_from(f"{order}I", header, 0x14)[0] in VERSIONS), None)
+    start, count = (0, MOST_RECORDS + 1) if order is None else struct.unpack_from(f"{order}II", header, 0x18)
+    if count > MOST_RECORDS:
+        raise SceneError(f"{path} has a damaged FLIR directory; copy it again from the camera, or leave it out")
+    stream.seek(start)
+    entries = struct.iter_unpack(f"{order}HHIIIIIII", stream.read(32 * count))
+    return {entry[0]: (32 * place, entry[0], entry[4], entry[5]) for place, entry in enumerate(entries) if entry[0] > 0}
+
+
+def _raw_size(stream: BinaryIO, record: tuple[int, int, int, int]) -> tuple[int, int]:
+    stream.seek(record[2] + 2)
+    width, height = struct.unpack("<HH", stream.read(4))
+    return width, height
+
+
+def _raw_counts(stream: BinaryIO, record: tuple[int, int, int, int], path: Path) -> np.ndarray:
+    """Return counts (H, W) of the raw record. Byte order of a PNG is the one whose neighbours differ less.
+
+    Cameras write the 16-bit PNG in either order; flyr assumes swapped bytes.
+    """
+    width, height = _raw_size(stream, record)
+    stream.seek(record[2] + 32)
+    payload = stream.read(record[3])
+    if payload[:4] == JPEG_LS:
+        raise SceneError(
+            f"{path} holds raw counts as JPEG-LS, which is not decoded here; export it as float TIFF in °C"
+        )
+    if payload[:4] == b"\x89PNG":
+        with Image.open(io.BytesIO(payload), formats=("PNG",)) as image:
+            if image.size != (width, height):
+                raise ValueError(f"raw image of {image.size} px, stated as {(width, height)}")
+            counts = np.asarray(image).astype(np.uint16)
+        return min((counts.byteswap(), counts), key=lambda one: np.abs(np.diff(one.astype(np.int64), axis=1)).mean())
+    if len(payload) < 2 * width * height:
+        raise ValueError(f"{len(payload)} bytes for {width}×{height} raw counts")
+    return np.frombuffer(payload, "<u2", width * height).reshape(height, width)
+
+
+def _as_rgb(photo: np.ndarray) -> np.ndarray:
+    if photo.ndim == 2:
+        photo = np.stack([photo] * 3, axis=-1)
+    if photo.dtype != np.uint8 or photo.shape[2] < 3:
+        raise ValueError(f"embedded photo of shape {photo.shape} and type {photo.dtype}")
+    return photo[..., :3]
+
+
+FLIR = Format(NAME, (), _fits, _header, _decode)

@@ -1,0 +1,142 @@
+"""PNG, JPEG, BMP and WebP: decoded by Pillow, but PNG of several 16-bit channels, which it cuts to 8, by libpng.
+
+COLMAP and 3DGS read pixels in the order in which they are stored, whatever EXIF says of orientation; so it is here, and
+stated. Colour profiles are not applied, and stated, too.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import imagecodecs
+import numpy as np
+from PIL import ExifTags, Image, ImageCms, UnidentifiedImageError
+
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.formats.decoded import Decoded, Depth, Format, Header, Meaning, Source, without_alpha
+from tdgbench.scenes.formats.unread import not_an_image
+from tdgbench.scenes.validate import MAX_PIXELS
+
+PILLOW = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
+PNG = b"\x89PNG\r\n\x1a\n"
+RGB_TYPE, GRAY_ALPHA, RGB_ALPHA = 2, 4, 6  # PNG's colour types
+COUNT_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")  # Pillow's, of one channel
+WITH_ALPHA = {"LA": "LA", "La": "LA", "RGBA": "RGBA", "RGBa": "RGBA", "PA": "RGBA"}  # and what they become
+PLAIN = {"1": "L", "L": "L", **dict.fromkeys(("RGB", "P", "RGBX", "CMYK", "YCbCr", "HSV", "LAB"), "RGB")}
+
+
+@contextmanager
+def pillow(source: Source) -> Iterator[Image.Image]:
+    """Open an image whose pixels are not yet decoded. Raises SceneError naming the file.
+
+    Pillow's warnings are silent: they are of metadata, and of sizes that are refused.
+    """
+    source.file.seek(0)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", module=r"PIL\.")
+        try:
+            found = Image.open(source.file, formats=PILLOW)
+        except UnidentifiedImageError:
+            raise not_an_image(source.path, source.head) from None
+        with found as image:
+            if image.width * image.height > MAX_PIXELS:
+                size = f"{image.width}×{image.height}"
+                raise SceneError(f"{source.path} is {size} px; an image may have {MAX_PIXELS} pixels. Resize it")
+            yield image
+
+
+def jpeg_segments(source: Source) -> list[tuple[str, bytes]]:
+    """Return the APP segments of a JPEG by name, without their markers; none of other files."""
+    if not source.head.startswith(b"\xff\xd8\xff"):
+        return []
+    with pillow(source) as image:
+        return list(getattr(image, "applist", []))
+
+
+def picture_header(source: Source) -> Header:
+    """Return what a picture says of itself."""
+    with pillow(source) as image:
+        _check_one_picture(image, source.path)
+        kind, is_deep = str(image.format), image.mode in COUNT_MODES
+        depth: Depth = "16-bit" if is_deep or _deep_colour_type(source) is not None else "8-bit"
+        meaning: Meaning = "counts" if depth == "16-bit" else "shown"
+        return Header(kind, *image.size, depth, meaning, assumed=(*_orientation(image), *_profile(image)))
+
+
+def decode_picture(source: Source) -> Decoded:
+    """Decode a picture: (H, W, 1 or 3) uint8 or uint16; transparent pixels are not valid."""
+    header = picture_header(source)
+    if source.head.startswith(PNG):
+        with pillow(source) as image:
+            image.verify()  # the checksums, which decoding ignores; the image is closed then
+    deep = _deep_colour_type(source)
+    if deep is not None:
+        source.file.seek(0)
+        values = imagecodecs.png_decode(source.file.read())
+        if values.dtype != np.uint16 or values.shape[:2] != (header.height, header.width) or values.ndim != 3:
+            raise ValueError(f"it states 16 bits, and has {values.dtype} {values.shape}")
+        has_alpha = deep in (GRAY_ALPHA, RGB_ALPHA)
+        return Decoded(*_split(values, has_alpha, header, source.path))
+    with pillow(source) as opened:
+        image = opened
+        if image.mode in COUNT_MODES:
+            counts, hidden = np.asarray(image).astype(np.uint16), image.info.get("transparency")
+            return Decoded(counts[..., None], header, None if hidden is None else counts != hidden)
+        if "transparency" in image.info or image.mode in WITH_ALPHA:
+            is_gray = image.mode in ("1", "L", "LA", "La")
+            image = image.convert("LA" if is_gray else "RGBA")
+            return Decoded(*_split(np.asarray(image), True, header, source.path))
+        if image.mode not in PLAIN:
+            raise SceneError(f"{source.path} has mode {image.mode}; save it as 8- or 16-bit gray, or 8-bit colour")
+        values = np.asarray(image if image.mode == PLAIN[image.mode] else image.convert(PLAIN[image.mode]))
+        return Decoded(values[..., None] if values.ndim == 2 else values, header)
+
+
+def _split(
+    values: np.ndarray, has_alpha: bool, header: Header, path: Path
+) -> tuple[np.ndarray, Header, np.ndarray | None]:
+    valid = None
+    if has_alpha:
+        values, valid = without_alpha(values, np.iinfo(values.dtype).max, path)
+    return values, header, valid
+
+
+def _deep_colour_type(source: Source) -> int | None:
+    """Return the colour type of a PNG of 16 bits and several channels; None of others. PNG specification, 11.2.1."""
+    if not source.head.startswith(PNG) or len(source.head) < 26:
+        return None
+    depth, colour_type = struct.unpack_from("BB", source.head, 24)
+    return colour_type if depth == 16 and colour_type in (RGB_TYPE, GRAY_ALPHA, RGB_ALPHA) else None
+
+
+def _check_one_picture(image: Image.Image, path: Path) -> None:
+    """Raise SceneError for an animation. A JPEG with further pictures (MPO) shows its first."""
+    frames = getattr(image, "n_frames", 1)
+    if image.format != "MPO" and frames > 1:
+        raise SceneError(f"{path} holds {frames} pictures; a view is one. Save one of them")
+
+
+def _orientation(image: Image.Image) -> tuple[str, ...]:
+    stated = image.getexif().get(ExifTags.Base.Orientation, 1) if image.format in ("JPEG", "MPO", "WEBP") else 1
+    return () if stated == 1 else (f"pixels as stored: EXIF orientation {str(stated)[:9]} is not applied",)
+
+
+def _profile(image: Image.Image) -> tuple[str, ...]:
+    content = image.info.get("icc_profile")
+    if not content:
+        return ()
+    try:
+        name = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(content))).strip()
+    except (ImageCms.PyCMSError, OSError):  # metadata that is damaged
+        name = "unknown"
+    return () if "srgb" in name.lower() or "gray" in name.lower() else (f"colour profile {name[:60]!r} is not applied",)
+
+
+PICTURE = Format(
+    "picture", (".png", ".jpg", ".jpeg", ".bmp", ".webp"), lambda source: True, picture_header, decode_picture
+)

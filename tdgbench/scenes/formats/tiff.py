@@ -1,0 +1,157 @@
+"""TIFF and BigTIFF: the largest page, in the depth that it has, as tifffile reads it.
+
+Facts: TIFF 6.0; tag 42113 (no data) and 42112 (scale and offset) of GDAL's driver GTiff; TlinearGain in FLIR's XMP.
+Whether black or white is 0 (PhotometricInterpretation) concerns how pictures of 8 bits are shown; counts and
+temperatures are numbers, which stay as they are.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+from tifffile import PHOTOMETRIC, TiffFile, TiffPage
+
+from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.formats.decoded import NO_SCALE, Decoded, Depth, Format, Header, Meaning, Source, without_alpha
+from tdgbench.scenes.formats.pictures import decode_picture, picture_header
+from tdgbench.scenes.temperature import TEMPERATURES, CountScale
+
+STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+MOST_PAGES = 1000
+OWN = (PHOTOMETRIC.MINISBLACK, PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.RGB)  # other pictures of 8 bits are Pillow's
+ORIENTATION, XMP, GDAL_METADATA, GDAL_NODATA = 274, 700, 42112, 42113  # tags
+IS_MASK = 4  # bit of NewSubfileType
+ALPHA = (1, 2)  # of ExtraSamples: associated, unassociated
+LARGEST = 2**24  # of counts, beyond which float32 skips some
+SCALED = re.compile(r'<Item[^>]*role="(scale|offset)"[^>]*>\s*([-+.\deE]+)\s*<')
+TLINEAR = re.compile(rb'TlinearGain(?:>|=")([\d.]+)')  # in XMP of FLIR's TIFF, which is not always well-formed
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep tifffile's log, of damaged tags that nothing here reads, from the terminal."""
+    log = logging.getLogger("tifffile")
+    before, log.disabled = log.disabled, True
+    try:
+        yield
+    finally:
+        log.disabled = before
+
+
+@contextmanager
+def _full_page(source: Source) -> Iterator[tuple[TiffPage, int | None, TiffPage | None]]:
+    """Yield the largest page, its number (None below another page), and the page that masks it. Raises SceneError."""
+    source.file.seek(0)
+    with _silent(), TiffFile(source.file, name=source.path.name) as tiff:
+        if len(tiff.pages) > MOST_PAGES:
+            raise SceneError(f"{source.path} has {len(tiff.pages)} pages; a view is one. Save one of them")
+        pages: list[tuple[TiffPage, int | None]] = []
+        for place in range(len(tiff.pages)):
+            top = tiff.pages.get(place, aspage=True)
+            assert isinstance(top, TiffPage)
+            below = (top.pages or ()) if top.subifds else ()
+            pages += [(top, place), *((one.aspage(), None) for one in below)]
+        masks = [page for page, _ in pages if page.subfiletype & IS_MASK]
+        pictures = [(page, number) for page, number in pages if not page.subfiletype & IS_MASK]
+        if not pictures:
+            raise SceneError(f"{source.path} holds no picture; export it again")
+        area = max(page.imagewidth * page.imagelength for page, _ in pictures)
+        full = [one for one in pictures if one[0].imagewidth * one[0].imagelength == area]
+        if len(full) > 1:
+            raise SceneError(f"{source.path} holds {len(full)} pictures; a view is one. Save one of them")
+        ((page, number),) = full
+        same = (mask for mask in masks if mask.shape[:2] == (page.imagelength, page.imagewidth))
+        yield page, number, next(same, None)
+
+
+def _header(source: Source) -> Header:
+    with _full_page(source) as (page, number, _):
+        return _header_of(page, number, source)
+
+
+def _header_of(page: TiffPage, number: int | None, source: Source) -> Header:
+    path, bits, kind = source.path, page.bitspersample, page.dtype
+    if kind is None or kind.kind not in "buif" or page.imagedepth != 1:
+        raise SceneError(f"{path} has pixels of {bits} bits in a form that is not read; export it as 16-bit or float")
+    stated = page.tags.valueof(ORIENTATION, 1)
+    turned = () if stated == 1 else (f"pixels as stored: TIFF orientation {str(stated)[:9]} is not applied",)
+    size, kind_of_picture = (page.imagewidth, page.imagelength), PHOTOMETRIC(page.photometric).name
+    if kind.itemsize == 1:
+        if page.photometric not in OWN and number == 0:
+            return picture_header(source)._replace(format="TIFF", assumed=turned)
+        if page.photometric not in OWN:
+            raise SceneError(f"{path} holds {kind_of_picture} behind other pages; save its largest page alone")
+        return Header("TIFF", *size, "8-bit", "shown", assumed=turned)
+    if page.photometric not in OWN:
+        raise SceneError(f"{path} holds {bits}-bit pixels of {kind_of_picture}; export it as gray TIFF")
+    bands = page.samplesperpixel - len([one for one in page.extrasamples if one in ALPHA])
+    if bands not in (1, 3):
+        raise SceneError(f"{path} has {bands} bands of {bits} bits; an image has 1 or 3. Save one band")
+    depth: Depth = "float" if kind.kind == "f" else "16-bit"
+    if depth == "float" and bands == 3:
+        raise SceneError(f"{path} has 3 bands of float values; temperatures in °C are one. Save one band")
+    gdal = {role: float(text) for role, text in SCALED.findall(str(page.tags.valueof(GDAL_METADATA, ""))[:100_000])}
+    if (gdal.get("scale", 1.0), gdal.get("offset", 0.0)) != (1, 0):
+        raise SceneError(
+            f"{path} states that its values are scaled ({', '.join(f'{k} {v:g}' for k, v in gdal.items())}), in a unit "
+            "that it does not state; export it as float TIFF in °C"
+        )
+    meaning: Meaning = "°C" if depth == "float" else "counts"
+    scale = _tlinear(page) if depth == "16-bit" else NO_SCALE
+    return Header("TIFF", *size, depth, meaning, scale, turned)
+
+
+def _tlinear(page: TiffPage) -> CountScale:
+    """Return what 16-bit counts mean where FLIR's XMP states a gain: kelvin × 1 / TlinearGain; 0: TLinear was off."""
+    xmp = page.tags.valueof(XMP, b"")
+    found = TLINEAR.search(xmp.encode() if isinstance(xmp, str) else bytes(xmp))
+    gain = 0.0 if found is None else float(found[1])
+    return CountScale(gain, TEMPERATURES[0]) if gain else NO_SCALE
+
+
+def _decode(source: Source) -> Decoded:
+    with _full_page(source) as (page, number, mask):
+        header = _header_of(page, number, source).checked(source.path)
+        if page.photometric not in OWN:
+            return replace(decode_picture(source), header=header)
+        values = page.asarray(maxworkers=1)
+        if page.planarconfig == 2 and values.ndim == 3:
+            values = np.moveaxis(values, 0, 2)
+        values = values.reshape(header.height, header.width, page.samplesperpixel)
+        valid = None if mask is None else np.asarray(mask.asarray(maxworkers=1).reshape(values.shape[:2]) > 0)
+        nodata = page.tags.valueof(GDAL_NODATA)
+        is_inverted = page.photometric == PHOTOMETRIC.MINISWHITE
+        extra = page.extrasamples
+    if values.dtype == np.bool_:
+        values = values.astype(np.uint8) * np.uint8(255)
+    if extra and extra[-1] in ALPHA:
+        most = 1.0 if values.dtype.kind == "f" else float(np.iinfo(values.dtype).max)
+        values, opaque = without_alpha(values, most, source.path)
+        valid = _both(valid, opaque)
+    if values.dtype == np.uint8:
+        values = np.uint8(255) - values if is_inverted else values
+        if values.shape[2] not in (1, 3):
+            raise SceneError(f"{source.path} has {values.shape[2]} bands of 8 bits; an image has 1 or 3. Save one band")
+    elif header.meaning == "counts" and (values.max() > LARGEST or values.min() < -LARGEST):
+        raise SceneError(f"{source.path} has counts beyond ±{LARGEST}; export it with 16 bits, or as float TIFF in °C")
+    if nodata is not None:
+        valid = _both(valid, np.asarray(_is_data(values, str(nodata)).all(axis=2)))
+    return Decoded(values, header, valid)
+
+
+def _is_data(values: np.ndarray, nodata: str) -> np.ndarray:
+    number = float(nodata.strip("\0 "))
+    return np.asarray(~np.isnan(values) if math.isnan(number) else values != values.dtype.type(number))
+
+
+def _both(first: np.ndarray | None, second: np.ndarray | None) -> np.ndarray | None:
+    return second if first is None else first if second is None else first & second
+
+
+TIFF = Format("TIFF", (".tif", ".tiff"), lambda source: source.head.startswith(STARTS), _header, _decode)
