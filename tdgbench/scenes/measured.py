@@ -15,7 +15,7 @@ import numpy as np
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.fillers import Fillers, find_apart, find_fillers, given_fillers, impossible
-from tdgbench.scenes.formats import decode, one_channel, raw_counts, read_celsius
+from tdgbench.scenes.formats import NO_SCALE, decode, one_channel, raw_counts, read_celsius
 from tdgbench.scenes.options import ReadOptions
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import PERCENTILES, CountScale, robust_range, sampled
@@ -77,17 +77,9 @@ def read_counts(path: Path) -> Temperatures:
     return Temperatures(values)
 
 
-def read_radiometric(path: Path, scale: CountScale) -> Temperatures:
-    """Read a camera's radiometric file, in °C or counts."""
+def read_temperatures(path: Path, scale: CountScale = NO_SCALE) -> Temperatures:
+    """Read an array, a float image or a camera's file: °C, or counts whose scale the file or `scale` states."""
     return Temperatures(read_celsius(path, scale).astype(np.float32))
-
-
-def read_npy(path: Path, scale: CountScale) -> Temperatures:
-    """Read an .npy file of °C, or of counts whose scale is known."""
-    values = decode(path).values[..., 0]
-    if values.dtype.kind in "iu" and scale.is_known:
-        values = scale.degC(values)
-    return Temperatures(values.astype(np.float32))
 
 
 def measured_images(

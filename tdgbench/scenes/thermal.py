@@ -7,12 +7,12 @@ from dataclasses import replace
 from functools import partial
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.formats import header
+from tdgbench.scenes.formats import NO_SCALE, header
 from tdgbench.scenes.layouts import SceneFiles
-from tdgbench.scenes.measured import CELSIUS_OF_IMAGES, COUNTS, measured_images, read_counts, read_npy, read_radiometric
+from tdgbench.scenes.measured import CELSIUS_OF_IMAGES, COUNTS, measured_images, read_counts, read_temperatures
 from tdgbench.scenes.options import ReadOptions
 from tdgbench.scenes.scene import TemperatureRange
-from tdgbench.scenes.temperature import CountScale, Radiometry, check_range
+from tdgbench.scenes.temperature import Radiometry, check_range
 from tdgbench.scenes.view_images import ImageSource, ThermalImages, shown_images
 from tdgbench.scenes.warped import WarpedPictures, is_picture
 from tdgbench.text import first_few
@@ -41,8 +41,7 @@ def thermal_images(
     if scene_files.in_celsius and pictures:
         return _of_pictures(scene_files, sources, pictures, train, options, radiometry, published)
     if scene_files.in_celsius or options.thermal == "radiometric":
-        scale = CountScale() if radiometry is None else radiometry.scale
-        reader = partial(read_npy if scene_files.in_celsius else read_radiometric, scale=scale)
+        reader = partial(read_temperatures, scale=NO_SCALE if radiometry is None else radiometry.scale)
         return measured_images(sources, reader, train, options, None if radiometry is None else radiometry.range)
     return _of_images(sources, train, options, radiometry)
 
@@ -65,9 +64,7 @@ def _of_images(
         )
     if "float" in stored or (hold_counts and "16-bit" not in stored):
         given = None if radiometry is None else radiometry.range
-        return measured_images(
-            sources, partial(read_radiometric, scale=CountScale()), train, options, given, CELSIUS_OF_IMAGES
-        )
+        return measured_images(sources, read_temperatures, train, options, given, CELSIUS_OF_IMAGES)
     if hold_counts:
         return measured_images(sources, read_counts, train, options, None, COUNTS)
     return shown_images(sources, radiometry, options.channels)

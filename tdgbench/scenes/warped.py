@@ -25,7 +25,7 @@ from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.fillers import grown
 from tdgbench.scenes.formats import decode
 from tdgbench.scenes.images import unit_image
-from tdgbench.scenes.measured import Temperatures, read_npy
+from tdgbench.scenes.measured import Temperatures, read_temperatures
 from tdgbench.scenes.temperature import Radiometry
 
 PICTURES = (".jpg", ".jpeg", ".png")
@@ -50,7 +50,7 @@ class WarpedPictures:
 
     def __call__(self, path: Path) -> Temperatures:
         if not is_picture(path):
-            return read_npy(path, self.radiometry.scale)
+            return read_temperatures(path, self.radiometry.scale)
         image, before = self._gray(path), self.unwarped.get(path.stem)
         block = BLOCK if path.suffix.lower() in JPEG else 1
         filler = None

@@ -32,8 +32,9 @@ MOST_COUNTS = 65535  # of 16 bits
 # K per count. Duo Pro R User Guide 1.0, p. 39: 0.04 (range -25 to 135 °C), 0.40 (-40 to 550 °C); Duo's, 5.1.7.3.1: 0.01
 TLINEAR_GAINS = (0.01, 0.04, 0.4)
 
-__all__ = ["FORMATS", "MOST_COUNTS", "SUFFIXES", "Decoded", "Depth", "Header", "PhotoMapping", "Source", "agreed_scale",
-           "celsius_of", "decode", "header", "metadata", "one_channel", "raw_counts", "read_celsius"]  # fmt: skip
+__all__ = ["FORMATS", "MOST_COUNTS", "NO_SCALE", "SUFFIXES", "Decoded", "Depth", "Header", "PhotoMapping", "Source",
+           "agreed_scale", "celsius_of", "decode", "header", "metadata", "one_channel", "raw_counts",
+           "read_celsius"]  # fmt: skip
 
 
 def header(path: Path, as_picture: bool = False) -> Header:
