@@ -6,19 +6,20 @@ believes the counts: a file one byte short makes it allocate without end.
 
 from __future__ import annotations
 
+from array import array
+from bisect import bisect_right
 from pathlib import Path
 from struct import Struct
 from struct import error as StructError
 
 import numpy as np
 
-from tdgbench.scenes.colmap.tables import CameraEntry, DamagedModelError, ImageEntry, Points, camera_models
+from tdgbench.scenes.colmap.tables import OBSERVED, CameraEntry, DamagedModelError, ImageEntry, Points, camera_models
 from tdgbench.scenes.inputs import read_bytes
 
 COUNT = Struct("<Q")
 CAMERA = Struct("<IiQQ")
 IMAGE = Struct("<I7dI")
-POINT2D = 24  # bytes
 POINT = np.dtype([("id", "<u8"), ("xyz", "<f8", 3), ("color", "u1", 3), ("error", "<f8"), ("track", "<u8")])
 TRACK_ELEMENT = 8  # bytes
 LONGEST_NAME = 4096  # bytes; Linux's PATH_MAX
@@ -84,15 +85,17 @@ def read_cameras(path: Path) -> list[CameraEntry]:
     return cameras
 
 
-def read_images(path: Path) -> list[ImageEntry]:
-    """Read the rows of images.bin. Raises SceneError."""
+def read_images(path: Path, observed: bool = False) -> list[ImageEntry]:
+    """Read the rows of images.bin, with their 2-D points if `observed`, as views of the file. Raises SceneError."""
     file, images = _Cursor(path), []
     for _ in file.rows("image", IMAGE.size + 1 + COUNT.size):
         image_id, *pose, camera_id = file.take(IMAGE)
         name = file.name()
-        points = file.count("2-D points", POINT2D)
-        file.at += POINT2D * points
+        count = file.count("2-D points", OBSERVED.itemsize)
         images.append(ImageEntry(image_id, pose[:4], pose[4:], camera_id, name))
+        if observed:
+            images[-1] = images[-1]._replace(points=np.ndarray(count, OBSERVED, file.data, file.at))
+        file.at += OBSERVED.itemsize * count
     return images
 
 
@@ -100,19 +103,28 @@ def read_points(path: Path) -> Points:
     """Read the rows of points3D.bin. Raises SceneError."""
     file = _Cursor(path)
     count = file.count("points", POINT.itemsize)
-    data, size, at, rows, tracks = file.data, len(file.data), file.at, [], []
-    to_length, length_at = POINT.fields["track"][1], COUNT.unpack_from  # type: ignore[index]
+    data, size, track = file.data, len(file.data), POINT.fields["track"][1]  # type: ignore[index]
+    starts = array("q", [at := file.at])  # of rows, and their end
     try:
-        for _ in range(count):  # without _Cursor's checks, since models have millions of points
-            (length,) = length_at(data, at + to_length)
-            rows.append(data[at : at + POINT.itemsize])
-            tracks.append(data[at + POINT.itemsize : (at := at + POINT.itemsize + TRACK_ELEMENT * length)])
+        for _ in range(count):  # nothing else is done point by point, since models have millions of them
+            (length,) = COUNT.unpack_from(data, at + track)
+            starts.append(at := at + POINT.itemsize + TRACK_ELEMENT * length)
     except (StructError, OverflowError):
         at = size + 1
     if at > size:
-        raise file.damaged(f"it ends at byte {size}, inside point {len(rows)} of {count}")
+        raise file.damaged(f"it ends at byte {size}, inside point {bisect_right(starts, size)} of {count}")
     file.at = at
     file.end(count, "point")
-    points = np.frombuffer(b"".join(rows), POINT)
-    images = np.frombuffer(b"".join(tracks), "<u4")[::2]  # the other numbers are those of 2-D points
-    return Points(points["id"], points["xyz"], points["color"], points["track"].astype(np.int64), images)
+    rows = np.asarray(starts)[:-1]
+    points = _at_any_byte(data, POINT)[rows]
+    lengths = points["track"].astype(np.int64)
+    before = np.cumsum(lengths) - lengths
+    elements = np.repeat(rows + POINT.itemsize - TRACK_ELEMENT * before, lengths)
+    elements += TRACK_ELEMENT * np.arange(len(elements))
+    images = _at_any_byte(data, np.dtype("<u4"))[elements]  # the number after it is that of a 2-D point
+    return Points(points["id"], points["xyz"], points["color"], lengths, images)
+
+
+def _at_any_byte(data: bytes, kind: np.dtype) -> np.ndarray:
+    """Return a view whose item i is the one that begins at byte i."""
+    return np.ndarray(max(0, len(data) - kind.itemsize + 1), kind, data, strides=(1,))

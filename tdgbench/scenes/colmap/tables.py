@@ -1,6 +1,6 @@
 """What is read of the files of a COLMAP model: cameras, images, points.
 
-2-D points, rigs and frames are not read: no training needs them, and the images file has all poses.
+Rigs and frames are not read, since the images file has all poses; 2-D points only where they are asked for.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ import pycolmap
 
 from tdgbench.scenes.errors import SceneError
 
+OBSERVED = np.dtype([("xy", "<f8", 2), ("point", "<u8")])  # 2-D points as images.bin has them; point: its id, if known
 REMEDY = "copy or download the model again, or run COLMAP again"
 
 
 class DamagedModelError(SceneError):
-    """A file of a model is cut or changed."""
+    """A file of a model is cut or changed. another: what else may help, after the remedy."""
 
-    def __init__(self, path: Path, what: str, remedy: str = REMEDY) -> None:
-        super().__init__(f"{path} is damaged: {what}; {remedy}")
+    def __init__(self, path: Path, what: str, another: str = "") -> None:
+        super().__init__(f"{path} is damaged: {what}; {REMEDY}{another}")
 
 
 class CameraEntry(NamedTuple):
@@ -42,6 +43,7 @@ class ImageEntry(NamedTuple):
     translation: list[float]
     camera_id: int
     name: str
+    points: np.ndarray = np.empty(0, OBSERVED)  # (N,) OBSERVED; empty unless asked for
 
 
 class Points(NamedTuple):

@@ -7,13 +7,18 @@ import pytest
 from tdgbench.data.check.model import wrong_views
 
 
-@pytest.fixture
-def model():
+def made(lens="SIMPLE_RADIAL", params=(1280.0, 512.0, 384.0, 0.0)):
     options = pycolmap.SyntheticDatasetOptions(
         num_rigs=1, num_cameras_per_rig=1, num_frames_per_rig=6, num_points3D=100
     )
+    options.camera_model_id, options.camera_params = getattr(pycolmap.CameraModelId, lens), params
     pycolmap.set_random_seed(0)
     return pycolmap.synthesize_dataset(options)
+
+
+@pytest.fixture
+def model():
+    return made()
 
 
 def written(model, folder):
@@ -34,18 +39,52 @@ def test_a_turned_view_is_named(model, tmp_path):
     assert "its pose or its camera" in problem
 
 
+@pytest.mark.parametrize(
+    ("lens", "params"),
+    [
+        ("PINHOLE", (1280, 1280, 512, 384)),
+        ("OPENCV", (1280, 1280, 512, 384, 0.05, 0.01, 0.01, 0)),
+        ("OPENCV_FISHEYE", (640, 640, 512, 384, 0.05, 0.01, 0, 0)),
+    ],
+)
+@pytest.mark.parametrize("suffix", ["binary", "text"])
+def test_errors_are_those_of_pycolmap(tmp_path, lens, params, suffix):
+    model = made(lens, params)
+    for number, degrees in enumerate((1, 5, 10, 40, 180), start=1):
+        turn = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0.0, np.radians(degrees), 0.0])), np.zeros(3))
+        model.frames[number].rig_from_world = turn * model.frames[number].rig_from_world
+    getattr(model, f"write_{suffix}")(tmp_path)
+    expected = {}
+    for image in model.images.values():
+        shown = [(point.xy, model.points3D[point.point3D_id].xyz) for point in image.get_observation_points2D()]
+        places = [(xy, image.project_point(xyz)) for xy, xyz in shown]
+        errors = [np.inf if place is None else np.linalg.norm(xy - place) for xy, place in places]
+        share = np.median(errors) / np.hypot(1024, 768)
+        if share > 0.05:
+            expected[image.name] = f"{share:.0%} of the diagonal off" if share < np.inf else "lie behind it"
+    found = dict(problem.split(": ", 1) for problem in wrong_views(tmp_path))
+    assert found.keys() == expected.keys() and len(found) >= 3
+    assert all(expected[name] in problem for name, problem in found.items())
+
+
 def test_another_focal_length_is_found_in_all_views(model, tmp_path):
     for camera in model.cameras.values():
         camera.params = [camera.params[0] * 1.5, *camera.params[1:]]
     assert len(written(model, tmp_path)) == 6
 
 
-def test_what_pycolmap_does_not_read(model, tmp_path):
+def test_what_is_not_read(model, tmp_path):
     assert wrong_views(tmp_path) == []
     model.write_binary(tmp_path)
-    frames = tmp_path / "frames.bin"
-    frames.write_bytes(frames.read_bytes()[: frames.stat().st_size // 2])
+    images = tmp_path / "images.bin"
+    images.write_bytes(images.read_bytes()[:-1])
     assert wrong_views(tmp_path) == []
+
+
+def test_progress_of_large_models(model, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("tdgbench.data.check.model.EACH", 4)
+    written(model, tmp_path)
+    assert capsys.readouterr() == ("", "projected 4 of 6 images\n")
 
 
 def test_a_model_from_which_points_were_removed(model, tmp_path):
