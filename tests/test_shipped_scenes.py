@@ -53,7 +53,7 @@ def test_temperatures_train(small_gray_scene, tmp_path):
     words = ("budget.iterations=20", "data.root=data")
     (lion,) = run(tmp_path, *words, "dataset=thermalmix", "scene=Lion", "method=msmg")
     check(lion, in_celsius=True, least_psnr=5)
-    assert (lion.dataset, lion.channels) == ("ThermalMix", 1) and lion.notes[0].startswith("layout ThermalMix: ")
+    assert (lion.dataset, lion.channels) == ("ThermalMix", 1) and lion.assumed["layout"].startswith("ThermalMix: ")
     assert any("filled with 0 °C" in note for note in lion.notes) and lion.temperature_range[0] > 10
     records = run(tmp_path, *words, "dataset=thermoscenes", "method=tdg", "data.split=folder")
     (cup,) = (record for record in records if record.dataset == "ThermoScenes")

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path, PurePosixPath
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.data.poses.metashape import chunk_poses, lenses, read_xml, table_poses
+from tdgbench.data.poses.metashape import lenses, read_chunk, read_xml, table_poses
 from tdgbench.data.poses.opensfm import model_points, shot_lenses, shot_poses
 from tdgbench.scenes import PointCloud
 from tdgbench.scenes.colmap import RegisteredImage, read_model
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import decoding, is_folder, is_there, read_json, regular_file
 from tdgbench.scenes.layouts import detect
 from tdgbench.scenes.layouts.transforms import read_points, read_transforms, where_they_are
+from tdgbench.scenes.names import key, view_names
 from tdgbench.scenes.validate import check_pose
 
 READ = "a scene, a COLMAP model, transforms.json, reconstruction.json, or Metashape's .xml, chunk.zip, .txt"
@@ -30,17 +31,19 @@ class Reference(NamedTuple):
     """
 
     poses: dict[str, np.ndarray]
-    lenses: Callable[[], list[CameraEntry]] = list
+    lenses: Callable[..., list[CameraEntry]] = list  # all, or those of given ids
     points: PointCloud | None = None
+    lens_ids: Mapping[str, int] = MappingProxyType({})  # of each view's lens, where the file says it
+    notes: Sequence[str] = ()  # on what the file holds beside
 
 
 def read_reference(path: Path) -> Reference:
-    """Read poses, named as the images without folder and extension. Raises SceneError naming the file."""
+    """Read poses by view name (`names.view_names`). Raises SceneError naming the file."""
     suffix = path.suffix.lower()
     if is_folder(path):
         layout = detect(path)
         found = None if layout is None else layout.find(path)
-        images, points = read_model(path) if found is None else (found.posed, found.points)
+        images, points = read_model(path)[:2] if found is None else (found.posed, found.points)
         shown = [image for image in images.values() if found is None or image.name in found.thermal]
         reference = _of_images(shown, points)
     elif suffix == ".json":
@@ -49,33 +52,23 @@ def read_reference(path: Path) -> Reference:
         reference = Reference(table_poses(path))
     elif suffix in (".xml", ".zip"):
         root = read_xml(path)
-        reference = Reference(chunk_poses(root, path), lambda: lenses(root, path))
+        chunk = read_chunk(root, path)
+        reference = Reference(chunk.poses, lambda *ids: lenses(root, path, *ids), None, chunk.lenses, chunk.notes)
     else:
         raise SceneError(f"{regular_file(path)} holds no poses that are read here; give {READ}")
     if not reference.poses:
         raise SceneError(f"{path} has no registered view; align the images first, and export again")
-    named: dict[str, np.ndarray] = {}
+    views = view_names([key(name) for name in reference.poses], str(path))
+    named = {name: views[key(name)] for name in reference.poses}
     for name, pose in reference.poses.items():
-        file = PurePosixPath(name.replace("\\", "/"))
-        view = file.stem if file.suffix.lower() in SUFFIXES else file.name
-        if view in named:
-            raise SceneError(f"{path} has two views named {view}; keep one of them")
-        check_pose(pose, f"{path}: view {view}")
-        named[view] = pose
-    return reference._replace(poses=named)
+        check_pose(pose, f"{path}: view {named[name]}")
+    poses = {named[name]: pose for name, pose in reference.poses.items()}
+    return reference._replace(poses=poses, lens_ids={named[name]: one for name, one in reference.lens_ids.items()})
 
 
 def _of_images(images: list[RegisteredImage], points: PointCloud | None) -> Reference:
     poses = {image.name: image.camera.world_to_camera for image in images}
-    return Reference(poses, lambda: list(dict.fromkeys(map(_lens, images))), points)
-
-
-def _lens(image: RegisteredImage) -> CameraEntry:
-    K, source = image.camera.K, None if image.undistortion is None else image.undistortion.source
-    if source is None:
-        params = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
-        return CameraEntry(1, "PINHOLE", image.camera.width, image.camera.height, params)
-    return CameraEntry(1, source.model_name, source.width, source.height, tuple(source.params.tolist()))
+    return Reference(poses, lambda: list(dict.fromkeys(image.lens for image in images)), points)
 
 
 def _read_json(path: Path) -> Reference:
@@ -94,5 +87,5 @@ def _of_transforms(path: Path) -> Reference:
     ply = None if content.points is None else path.parent / content.points
     if ply is None or not is_there(ply):
         return _of_images(images, None)
-    points, _ = where_they_are(read_points(ply), content.applied_transform, [image.camera for image in images])
+    points, _ = where_they_are(read_points(ply)[0], content.applied_transform, [image.camera for image in images])
     return _of_images(images, points)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +12,10 @@ import pycolmap
 
 from tdgbench.scenes.colmap import binary, text
 from tdgbench.scenes.colmap.pinhole import Undistortion, to_pinhole
-from tdgbench.scenes.colmap.tables import REMEDY, DamagedModelError, ImageEntry, Points
+from tdgbench.scenes.colmap.tables import REMEDY, CameraEntry, DamagedModelError, ImageEntry, Points
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import check_view_name, is_there
+from tdgbench.scenes.inputs import is_there
+from tdgbench.scenes.names import key, of_modality, view_names
 from tdgbench.scenes.scene import Camera, PointCloud, Tracks
 from tdgbench.scenes.validate import MAX_COORDINATE, check_camera
 
@@ -28,14 +29,24 @@ ROUNDING = 1e-12  # of that norm
 class RegisteredImage:
     """One registered image of a COLMAP model."""
 
-    name: str  # file name without folder and extension
+    name: str  # of the view
     camera: Camera
     undistortion: Undistortion | None
+    key: str  # name in the model, as `names.key` has it
 
     @property
     def source_size(self) -> tuple[int, int]:
         """Width and height of the camera as in the model, px."""
         return (self.camera.width, self.camera.height) if self.undistortion is None else self.undistortion.source_size
+
+    @property
+    def lens(self) -> CameraEntry:
+        """The camera as in the model; its id is 1."""
+        K, source = self.camera.K, None if self.undistortion is None else self.undistortion.source
+        if source is None:
+            params = float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+            return CameraEntry(1, "PINHOLE", self.camera.width, self.camera.height, params)
+        return CameraEntry(1, source.model_name, source.width, source.height, tuple(source.params.tolist()))
 
 
 class ReadModel(NamedTuple):
@@ -43,6 +54,7 @@ class ReadModel(NamedTuple):
 
     images: dict[str, RegisteredImage]  # by view name
     points: PointCloud | None
+    others: dict[str, RegisteredImage]  # of another modality, by view name
 
 
 def model_files(folder: Path) -> list[Path]:
@@ -54,8 +66,17 @@ def model_files(folder: Path) -> list[Path]:
     return [folder / (name + suffix) for name in NEEDED]
 
 
-def read_model(folder: Path) -> ReadModel:
-    """Read and check a model, binary or text. Raises SceneError naming the file and the remedy."""
+def image_keys(folder: Path) -> list[str]:
+    """Return the keys of a model's images. Raises SceneError."""
+    _, images_file, _ = model_files(folder)
+    return [key(image.name) for image in FORMATS[images_file.suffix].read_images(images_file)]
+
+
+def read_model(folder: Path, modality: tuple[str, str] | None = None) -> ReadModel:
+    """Read and check a model, binary or text. Raises SceneError naming the file and the remedy.
+
+    modality: folder of the wanted images and of others in the model's names, where one model has both.
+    """
     cameras_file, images_file, points_file = model_files(folder)
     reader = FORMATS[cameras_file.suffix]
     rows = reader.read_cameras(cameras_file)
@@ -65,21 +86,24 @@ def read_model(folder: Path) -> ReadModel:
     images = reader.read_images(images_file)
     if not images:
         raise SceneError(f"{images_file} has no registered image; {REMEDY}")
+    keys = [key(image.name) for image in images]
+    wanted = {*(keys if modality is None else of_modality(keys, *modality))}
+    names: dict[str, str] = {}
+    for is_wanted in (True, False):
+        names |= view_names([one for one in keys if (one in wanted) == is_wanted], str(images_file))
     posed: dict[str, RegisteredImage] = {}
-    names: dict[int, str] = {}
-    for image in images:
-        where = f"{images_file}: image {image.name!r}"
-        name = check_view_name(PurePosixPath(image.name.replace("\\", "/")).stem, where)
-        if name in posed:
-            raise SceneError(f"{folder} has two images named {name}; view names must be unique in a scene")
+    others: dict[str, RegisteredImage] = {}
+    for image, one in zip(images, keys, strict=True):
         if image.camera_id not in cameras:
             what = f"image {image.name!r} has camera {image.camera_id}, which {cameras_file.name} does not hold"
             raise DamagedModelError(images_file, what)
-        names[image.id] = name
         pinhole, undistortion = cameras[image.camera_id]
         camera = Camera(pinhole.K, _pose(image, images_file), pinhole.width, pinhole.height)
-        posed[name] = RegisteredImage(name, check_camera(camera, where), undistortion)
-    return ReadModel(posed, _cloud(reader.read_points(points_file), names, points_file))
+        check_camera(camera, f"{images_file}: image {image.name!r}")
+        part = posed if one in wanted else others
+        part[names[one]] = RegisteredImage(names[one], camera, undistortion, one)
+    views = {image.id: names[one] for image, one in zip(images, keys, strict=True) if one in wanted}
+    return ReadModel(posed, _cloud(reader.read_points(points_file), views, points_file), others)
 
 
 def _pose(image: ImageEntry, path: Path) -> np.ndarray:

@@ -1,17 +1,42 @@
-"""What every layout says about a folder, and the steps that layouts share."""
+"""What every layout says about a folder, and the steps that layouts share.
+
+Masks: COLMAP 02e8ba8, doc/faq.rst (left/1.jpg.png below the masks' folder for left/1.jpg; black hides); nerfstudio
+50e0e3c, nerfstudio/data/utils/data_utils.py (`mask_path` per frame; 0 hides); NVlabs/instant-ngp 090aed6,
+src/nerf_loader.cu (dynamic_mask_1.png beside 1.jpg; what is not black hides).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
 
 from tdgbench.scenes.colmap import RegisteredImage, read_model
+from tdgbench.scenes.colmap.model import image_keys
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import check_view_name, is_folder, is_there, listed, regular_file
+from tdgbench.scenes.names import about_unread, in_case_alone, key, of_modality, pair, view_names
 from tdgbench.scenes.scene import PointCloud, TemperatureRange
 from tdgbench.scenes.temperature import FILE, Radiometry, read_radiometry
+from tdgbench.text import first_few
+
+DYNAMIC = "dynamic_mask_"
+MASKS = "masks"
+SPLITS = ("train", "test")
+SAME_POSE = 1e-6  # largest difference between poses of one camera
+
+
+class Mask(NamedTuple):
+    """A picture that hides pixels of a view: where it is black; inverted: where it is not."""
+
+    path: Path
+    inverted: bool = False
 
 
 @dataclass(frozen=True)
@@ -20,14 +45,25 @@ class SceneFiles:
 
     posed: dict[str, RegisteredImage]
     points: PointCloud | None
-    thermal: dict[str, Path] = field(default_factory=dict)
+    thermal: dict[str, Path] = field(default_factory=dict)  # of views; and of images without a pose, by key
     rgb: dict[str, Path] = field(default_factory=dict)
     shipped: dict[str, str] = field(default_factory=dict)  # `train` or `test`
     radiometry: Radiometry | None = None  # of 8- and 16-bit images
     in_celsius: bool = False  # thermal files are arrays (H, W) or (H, W, 1) of °C, or gray images of a known range
-    files: list[Path] = field(default_factory=list)  # besides images: what the scene is read from
+    files: list[Path] = field(default_factory=list)  # besides images and masks: what the scene is read from
     notes: list[str] = field(default_factory=list)  # what is doubtful about it
     unwarped: dict[str, Path] = field(default_factory=dict)  # gray thermal images before they were warped
+    masks: dict[str, Mask] = field(default_factory=dict)
+    assumed: dict[str, str] = field(default_factory=dict)  # as of Scene
+    model: Path | None = None  # folder of the COLMAP model
+
+
+class Images(NamedTuple):
+    """Files of images below a folder, by key or by view name."""
+
+    paths: dict[str, Path]
+    shipped: dict[str, str]  # `train` or `test`, where these subfolders exist; no part of keys
+    notes: list[str]  # on files that are not read
 
 
 @dataclass(frozen=True)
@@ -42,56 +78,183 @@ class Layout:
     published: Callable[[str], TemperatureRange | None] = lambda name: None  # °C of gray images, by a scene's name
 
 
-def find_model(folder: Path, places: Iterable[str], title: str) -> SceneFiles:
-    """Read the COLMAP model in the first of `places` that is there, and temperature.json. Raises SceneError.
+def find_scene(
+    folder: Path, places: Iterable[str], title: str, modality: tuple[str, str], thermal: Images, rgb: Images
+) -> SceneFiles:
+    """Pair the images of a scene with its COLMAP model, below the first of `places` that has one.
 
-    Returns what is known by these; images are to be added.
+    modality: folders of images with the thermal images' poses and of others in the model's names, where it has both.
+    Raises SceneError.
     """
-    place = model_folder(folder, places)
-    if place is None:
+    kept = {one: thermal.paths[one] for one in of_modality(thermal.paths, *modality)}
+    if apart := thermal.paths.keys() - kept.keys():
+        thermal.notes.append(f"{len(apart)} images are not in {modality[0]}/ and are not used: {first_few(apart)}")
+    thermal = thermal._replace(paths=kept)
+    place, assumed, notes = _chosen_model(folder, places, title, thermal, modality)
+    posed, points, others = read_model(place, modality)
+    shown = by_view(folder, thermal, posed)
+    unposed, unseen = sorted(shown.paths.keys() - posed.keys()), sorted(posed.keys() - shown.paths.keys())
+    alike = in_case_alone(unposed, unseen)
+    if len(unposed) == len(shown.paths):
+        why = f"in case alone differ {alike}; rename them" if alike else f"thermal: {unposed[:2]}, poses: {unseen[:2]}"
+        raise SceneError(f"{folder}: no thermal image has the name of a view with a pose ({why})")
+    notes += [f"thermal images without a pose may be views in another case: {alike}; rename them"] if alike else []
+    pictures, unpaired = _registered_pairs(folder, rgb, posed, others)
+    files = [*(path for path in listed(place) if path.is_file()), *([folder / FILE] if is_there(folder / FILE) else [])]
+    masks, about = find_masks(folder, posed, (shown.paths, pictures))
+    return SceneFiles(
+        posed, points, shown.paths, pictures, shown.shipped, read_radiometry(folder / FILE), files=files,
+        notes=[*thermal.notes, *rgb.notes, *notes, *unpaired], masks=masks, assumed={**assumed, **about}, model=place,
+    )  # fmt: skip
+
+
+def model_folder(folder: Path, places: Iterable[str]) -> Path | None:
+    """Return the first of `places` that is a folder, or None; for `0`, the first of COLMAP's numbered models."""
+    return next(iter(_model_folders(folder, places)), None)
+
+
+def _model_folders(folder: Path, places: Iterable[str]) -> list[Path]:
+    for place in (folder / name for name in places):
+        numbered = listed(place.parent) if place.name == "0" and is_folder(place.parent) else []
+        numbered = [path for path in numbered if path.name.isdecimal() and is_folder(path)]
+        if numbered or is_folder(place):
+            return sorted(numbered, key=lambda path: int(path.name)) or [place]
+    return []
+
+
+def _chosen_model(
+    folder: Path, places: Iterable[str], title: str, thermal: Images, modality: tuple[str, str]
+) -> tuple[Path, dict[str, str], list[str]]:
+    """Return the folder of the model that poses most thermal images, what is assumed, and notes."""
+    found = _model_folders(folder, places)
+    if not found:
         first = next(iter(places))
         raise SceneError(
             f"{folder} has no COLMAP model in {first}; run COLMAP on its RGB images first (read as {title})"
         )
-    posed, points = read_model(place)
-    files = [*(path for path in listed(place) if path.is_file()), *([folder / FILE] if is_there(folder / FILE) else [])]
-    return SceneFiles(posed, points, radiometry=read_radiometry(folder / FILE), files=files)
+    models = [path for path in found if is_there(path / "images.bin") or is_there(path / "images.txt")]
+    if len(models) < 2:
+        return (models or found)[0], {}, []
+    counts = []
+    for path in models:
+        names = view_names(of_modality(image_keys(path), *modality), str(path))
+        counts.append(len(pair(thermal.paths, {name: one for one, name in names.items()}, str(folder))))
+    best = models[counts.index(max(counts))]
+    name = best.relative_to(folder).as_posix()
+    sizes = ", ".join(f"{path.name}: {count}" for path, count in zip(models, counts, strict=True))
+    said = f"{name}: {max(counts)} of {len(thermal.paths)} thermal images, of {len(models)} models ({sizes})"
+    why = f"{said}: each has a world of its own, and the largest is read; to read another one, remove or rename {name}"
+    return best, {"model": said}, [] if best == models[0] else [why]
 
 
-def model_folder(folder: Path, places: Iterable[str]) -> Path | None:
-    """Return the first of `places` that is a folder, or None."""
-    return next((folder / place for place in places if is_folder(folder / place)), None)
+def _registered_pairs(
+    folder: Path, rgb: Images, posed: Mapping[str, RegisteredImage], others: Mapping[str, RegisteredImage]
+) -> tuple[dict[str, Path], list[str]]:
+    """Return RGB images by view, and notes. others: images that COLMAP posed beside the thermal ones.
 
-
-def find_files(
-    folder: Path, suffixes: tuple[str, ...] = SUFFIXES, but: Container[str] = ()
-) -> tuple[dict[str, Path], dict[str, str]]:
-    """Find files by view name; and by view name `train` or `test`, where these subfolders exist.
-
-    suffixes: in lower case; those of files may be in upper case. but: views that are passed over. Raises SceneError for
-    a name that no result could have, for two files of one view, and for what is no regular file.
+    An RGB image whose pose or lens is another one is no registered pair.
     """
+    files = pair(rgb.paths, _keys(posed), f"{folder}: RGB")
+    own = {file: others[name] for name, file in pair(rgb.paths, _keys(others), f"{folder}: RGB").items()}
+    apart = {view for view, file in files.items() if others and not _same_camera(own.get(file), posed[view])}
+    notes = [
+        f"{len(apart)} RGB images have no pose and lens in the model that equal the thermal image's, so they are no "
+        f"registered pairs and are not used: {first_few(apart)}; warp them into the thermal camera to use them"
+    ]
+    return {view: rgb.paths[file] for view, file in files.items() if view not in apart}, notes if apart else []
+
+
+def _same_camera(one: RegisteredImage | None, other: RegisteredImage) -> bool:
+    if one is None or one.lens != other.lens:
+        return False
+    return np.allclose(one.camera.world_to_camera, other.camera.world_to_camera, rtol=0, atol=SAME_POSE)
+
+
+def find_images(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> Images:
+    """Find images below a folder, also in its subfolders, by key; none without the folder.
+
+    suffixes: in lower case; those of files may be in upper case. Hidden files, and masks beside images, are passed
+    over. Raises SceneError for a name that no result could have, two files of one key, and what is no regular file.
+    """
+    if not is_there(folder):
+        return Images({}, {}, [])
+    if not is_folder(folder):
+        raise SceneError(f"{folder} is no folder; replace it by a folder of images, or remove it")
     paths: dict[str, Path] = {}
     shipped: dict[str, str] = {}
-    subfolders = [name for name in ("train", "test") if is_folder(folder / name)]
-    for sub in subfolders or [""]:
-        for path in listed(folder / sub):
-            if path.suffix.lower() not in suffixes or path.name.startswith(".") or path.stem in but:
+    unread: list[str] = []
+    splits = [name for name in SPLITS if is_folder(folder / name)]
+    for top in splits or [""]:
+        for path in _files_below(folder / top, suffixes, set()):
+            name = path.relative_to(folder / top).as_posix()
+            if path.suffix.lower() not in suffixes:
+                unread.append(name)
                 continue
-            check_view_name(path.stem, f"{path.parent}: the file {path.name!r}")
+            one = key(name)
+            check_view_name(key(path.name), f"{path.parent}: the file {path.name!r}")
             regular_file(path)
-            if path.stem in paths:
-                raise SceneError(f"{path} and {paths[path.stem]} are both view {path.stem}; keep one of them")
-            paths[path.stem] = path
-            if sub:
-                shipped[path.stem] = sub
-    return paths, shipped
+            if one in paths:
+                raise SceneError(f"{path} and {paths[one]} are both view {one}; keep one of them")
+            paths[one] = path
+            shipped.update({one: top} if top else {})
+    stems = {path.with_suffix("") for path in paths.values()}
+    for one, path in list(paths.items()):
+        if path.name.startswith(DYNAMIC) and path.with_name(path.stem.removeprefix(DYNAMIC)) in stems:
+            del paths[one]
+    return Images(paths, shipped, about_unread(f"{folder.name}/", unread, paths))
 
 
-def find_optional(folder: Path, what: str) -> dict[str, Path]:
-    """Find images by view name; none without the folder. what: of which kind, for messages."""
-    if not is_there(folder):
-        return {}
-    if not is_folder(folder):
-        raise SceneError(f"{folder} is no folder; replace it by a folder of {what}, or remove it")
-    return find_files(folder)[0]
+def _files_below(folder: Path, suffixes: tuple[str, ...], above: set[Path]) -> Iterator[Path]:
+    """Yield files below a folder, sorted; what is named as an image is one. above: real folders around it."""
+    real = folder.resolve()
+    for path in listed(folder):
+        if path.name.startswith("."):
+            continue
+        if path.suffix.lower() not in suffixes and is_folder(path):
+            if path.resolve() not in above | {real}:
+                yield from _files_below(path, suffixes, above | {real})
+        else:
+            yield path
+
+
+def by_view(folder: Path, images: Images, posed: Mapping[str, RegisteredImage]) -> Images:
+    """Return images by view name; those without a pose by key. folder: of the scene. Raises SceneError."""
+    views = {file: view for view, file in pair(images.paths, _keys(posed), str(folder)).items()}
+    paths: dict[str, Path] = {}
+    for file, path in images.paths.items():
+        name = views.get(file, file)
+        if paths.setdefault(name, path) != path:
+            raise SceneError(f"{paths[name]} and {path} are both view {name}; keep one of them")
+    return Images(paths, {views.get(file, file): part for file, part in images.shipped.items()}, images.notes)
+
+
+def find_masks(
+    folder: Path, posed: Mapping[str, RegisteredImage], images: Iterable[Mapping[str, Path]],
+    stated: Mapping[str, Path] = MappingProxyType({}),
+) -> tuple[dict[str, Mask], dict[str, str]]:  # fmt: skip
+    """Return masks by view name, and what is assumed about them. Raises SceneError for two masks of a view.
+
+    images: by view name, beside which masks may lie. stated: masks that a file names, by view name.
+    """
+    elsewhere = set(stated.values())
+    paths = {one: path for one, path in find_images(folder / MASKS).paths.items() if path not in elsewhere}
+    twice = {one: path for one, path in paths.items() if key(one) != one}  # 1.png.png of 1.png
+    once = [{one: path for one, path in paths.items() if one not in twice}, {key(one): twice[one] for one in twice}]
+    found = [("mask_path: black hides", view, Mask(path)) for view, path in stated.items()]
+    for part in once:
+        named = by_view(folder, Images(part, {}, []), posed).paths
+        found += [(f"{MASKS}/: black hides", view, Mask(path)) for view, path in named.items()]
+    for view, image in (one for part in images for one in part.items()):
+        if is_there(beside := image.with_name(f"{DYNAMIC}{image.stem}.png")):
+            found.append((f"{DYNAMIC}*.png: what is not black hides", view, Mask(beside, inverted=True)))
+    masks: dict[str, Mask] = {}
+    for _, view, mask in found:
+        if masks.setdefault(view, mask) != mask:
+            raise SceneError(f"{mask.path} and {masks[view].path} are both masks of view {view}; keep one of them")
+        regular_file(mask.path)
+    counts = Counter(source for source, _, _ in found)
+    return masks, {MASKS: "; ".join(f"{source} ({count} files)" for source, count in counts.items())} if found else {}
+
+
+def _keys(posed: Mapping[str, RegisteredImage]) -> dict[str, str]:
+    return {view: image.key for view, image in posed.items()}

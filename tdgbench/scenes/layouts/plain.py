@@ -11,14 +11,13 @@ TI-NSD of Thermal3D-GS: thermal images alone, in the plain layout of 3DGS. Its p
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import is_folder
-from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_files, find_model, find_optional, model_folder
+from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, find_images, find_scene, model_folder
 
 MODELS = ("sparse/0", "sparse", "colmap/sparse/0")
 
@@ -26,11 +25,12 @@ MODELS = ("sparse/0", "sparse", "colmap/sparse/0")
 def _find(folder: Path, images: str, rgb: str | None = None) -> SceneFiles:
     """Find what is in a scene. images, rgb: names of the folders of thermal and RGB images."""
     layout = TI_NSD if rgb is None else RGBT_SCENES
-    thermal, shipped = find_files(folder / images)
-    if not thermal:
-        raise SceneError(f"{folder / images} holds no image; put one of each view there ({', '.join(SUFFIXES)})")
-    photos = {} if rgb is None else find_optional(folder / rgb, "RGB images")
-    return replace(find_model(folder, MODELS, layout.title), thermal=thermal, rgb=photos, shipped=shipped)
+    thermal = find_images(folder / images)
+    if not thermal.paths:
+        why = "; ".join([f"put one of each view there ({', '.join(SUFFIXES)})", *thermal.notes])
+        raise SceneError(f"{folder / images} holds no image; {why}")
+    photos = Images({}, {}, []) if rgb is None else find_images(folder / rgb)
+    return find_scene(folder, MODELS, layout.title, ("thermal", "rgb"), thermal, photos)
 
 
 RGBT_SCENES = Layout(

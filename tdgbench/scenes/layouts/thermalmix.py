@@ -20,7 +20,7 @@ from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_folder, listed
-from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_files, find_model
+from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, by_view, find_images, find_scene
 from tdgbench.scenes.registry import registered
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.warped import PICTURES
@@ -53,23 +53,20 @@ def published_range(name: str) -> TemperatureRange | None:
 
 
 def _find(folder: Path) -> SceneFiles:
-    arrays, shipped = find_files(folder / WARPED, (".npy",))
-    pictures, placed = find_files(folder / WARPED, PICTURES, but=arrays)
-    if not arrays and not pictures:
+    arrays, pictures = (find_images(folder / WARPED, suffixes) for suffixes in ((".npy",), PICTURES))
+    thermal = Images({**pictures.paths, **arrays.paths}, {**pictures.shipped, **arrays.shipped}, [])
+    if not thermal.paths:
         raise SceneError(
             f"{folder / WARPED} holds no image and no array; put <view>.jpg (gray) or <view>.npy (°C, (H, W)) of each "
             "view there"
         )
-    unwarped = {}
-    if pictures and is_folder(folder / UNWARPED):
-        originals = find_files(folder / UNWARPED, PICTURES)[0]
-        unwarped = {name: path for name, path in originals.items() if name in pictures}
     photos = _rgb_folder(folder)
-    model = find_model(folder, MODELS, TITLE)
-    return replace(
-        model, thermal={**pictures, **arrays}, rgb={} if photos is None else find_files(photos)[0],
-        shipped={**placed, **shipped}, in_celsius=True, files=[*model.files, *unwarped.values()], unwarped=unwarped,
-    )  # fmt: skip
+    rgb = Images({}, {}, []) if photos is None else find_images(photos)
+    found = find_scene(folder, MODELS, TITLE, ("rgb", UNWARPED), thermal, rgb)
+    before = by_view(folder, find_images(folder / UNWARPED, PICTURES), found.posed).paths
+    shown = {view for view, path in found.thermal.items() if path.suffix.lower() in PICTURES}
+    unwarped = {view: path for view, path in before.items() if view in shown}
+    return replace(found, in_celsius=True, files=[*found.files, *unwarped.values()], unwarped=unwarped)
 
 
 def _rgb_folder(folder: Path) -> Path | None:

@@ -16,12 +16,11 @@ from typing import Any
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import is_there, regular_file
-from tdgbench.scenes.layouts.layout import Layout, SceneFiles, find_optional, model_folder
-from tdgbench.scenes.layouts.transforms import Transforms, read_points, read_transforms, where_they_are
+from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, by_view, find_images, find_masks, model_folder
+from tdgbench.scenes.layouts.transforms import POINTS, Transforms, read_points, read_transforms, there, where_they_are
 from tdgbench.scenes.temperature import BOUNDS_FILE, BOUNDS_KEYS, FILE, read_radiometry
 
 JSON_FILES = ("transforms.json", "transforms_thermal.json")
-POINTS = "sparse_pc.ply"  # nerfstudio's default
 TITLE = "ThermoScenes"
 
 
@@ -35,15 +34,20 @@ def _find(folder: Path) -> SceneFiles:
     if path is None:
         raise SceneError(f"{folder} has no {JSON_FILES[0]}; the layout is {LAYOUT.looks}")
     content = read_transforms(path)
-    by_name = find_optional(folder / "thermal", "thermal images")
-    thermal, rgb = {}, {}
+    posed = {name: frame.posed for name, frame in content.frames.items()}
+    unnamed = any(frame.thermal_file is None for frame in content.frames.values())
+    images = by_view(folder, find_images(folder / "thermal") if unnamed else Images({}, {}, []), posed)
+    thermal, rgb, stated = {}, {}, {}
     for name, frame in content.frames.items():
-        stated = frame.thermal_file
-        place = by_name.get(name) if stated is None else folder / stated
-        if place is not None and is_there(place):
-            thermal[name] = _image(place, f"{path}: frame {name}")
-        if frame.file != stated and is_there(folder / frame.file):
-            rgb[name] = _image(folder / frame.file, f"{path}: frame {name}")
+        where = f"{path}: frame {name}"
+        own = frame.thermal_file
+        place = images.paths.get(name) if own is None else there(folder / own)
+        if place is not None:
+            thermal[name] = _image(place, where)
+        if frame.file != own and (photo := there(folder / frame.file)) is not None:
+            rgb[name] = _image(photo, where)
+        if frame.mask is not None:
+            stated[name] = _image(folder / frame.mask, where)
     if not thermal:
         raise SceneError(
             f"{path} names no thermal image that is there (read as {TITLE}); put <view>.png of each frame into "
@@ -51,18 +55,22 @@ def _find(folder: Path) -> SceneFiles:
         )
     bounds = read_radiometry(folder / BOUNDS_FILE, BOUNDS_KEYS) or read_radiometry(folder / FILE)
     files = [path, *(folder / name for name in (BOUNDS_FILE, FILE) if is_there(folder / name))]
-    notes = [] if bounds else [f"there is no {BOUNDS_FILE}, so no temperature of image values is known"]
+    unknown = [] if bounds else [f"there is no {BOUNDS_FILE}, so no temperature of image values is known"]
+    notes = [*images.notes, *unknown]
+    masks, about = find_masks(folder, posed, (thermal, rgb), stated)
+    assumed = {**content.assumed, **about}
     ply = folder / (content.points or POINTS)
     points = None
     if is_there(ply):
-        poses = [frame.posed.camera for frame in content.frames.values()]
-        points, moved = where_they_are(read_points(ply), content.applied_transform, poses)
+        cloud, colors = read_points(ply)
+        points, moved = where_they_are(cloud, content.applied_transform, [image.camera for image in posed.values()])
         notes += [f"{ply.name} was in the world before applied_transform, which is applied to it"] if moved else []
         files.append(ply)
+        assumed |= {"colours": f"of {ply.name}: {colors}"} if colors else {}
     elif content.points is not None:
         notes.append(f"{path.name} names the points {content.points}, which are not there")
-    posed = {name: frame.posed for name, frame in content.frames.items()}
-    return SceneFiles(posed, points, thermal, rgb, _shipped(content, path), bounds, files=files, notes=notes)
+    return SceneFiles(posed, points, thermal, rgb, _shipped(content), bounds, files=files, notes=notes, masks=masks,
+                      assumed=assumed)  # fmt: skip
 
 
 def _json_file(folder: Path) -> Path | None:
@@ -75,17 +83,15 @@ def _image(path: Path, where: str) -> Path:
     return regular_file(path)
 
 
-def _shipped(content: Transforms, path: Path) -> dict[str, str]:
+def _shipped(content: Transforms) -> dict[str, str]:
     """Return `train` or `test` by view name. Lists of names decide; `val` is tested where `test` is not."""
     if content.lists:
         test = content.lists.get("test") or content.lists.get("val", [])
         parts: Mapping[str, Any] = {"train": content.lists.get("train", []), "test": test}
-        unknown = [name for names in content.lists.values() for name in names if name not in content.frames]
-        if unknown:
-            raise SceneError(f"{path} lists {unknown[0]} in its split, but has no such frame. Correct the list")
         return {name: part for part, names in parts.items() for name in names}
-    named = [name for name in content.frames if "train" in name or "eval" in name]
-    return {name: "train" if "train" in name else "test" for name in named}
+    bases = {name: frame.posed.key.rpartition("/")[2] for name, frame in content.frames.items()}
+    said = {name: base for name, base in bases.items() if "train" in base or "eval" in base}
+    return {name: "train" if "train" in base else "test" for name, base in said.items()}
 
 
 LAYOUT = Layout(

@@ -1,13 +1,17 @@
 """nerfstudio's transforms.json: cameras and poses of frames, the files that they name, and the points of a PLY file.
 
-Facts: nerfstudio 1.1, nerfstudio/data/dataparsers/nerfstudio_dataparser.py and nerfstudio/process_data/colmap_utils.py.
-A key of the file as a whole goes before that of a frame. `transform_matrix` is camera to world in OpenGL's axes (x
-right, y up, z backward). Intrinsics are COLMAP's: pixel centres are at integers + 1/2.
+Facts: nerfstudio 50e0e3c, nerfstudio/data/dataparsers/nerfstudio_dataparser.py and nerfstudio/process_data/
+colmap_utils.py; NVlabs/instant-ngp 090aed6, src/nerf_loader.cu. `transform_matrix` is camera to world in OpenGL's axes
+(x right, y up, z backward). Intrinsics are COLMAP's: pixel centres are at integers + 1/2. A key of the file as a whole
+is that of every frame; where a frame has another value, nerfstudio takes the file's and instant-ngp the frame's, so it
+is refused. instant-ngp's `is_fisheye` makes k1 to k4 those of OPENCV_FISHEYE; without them it is a pinhole there.
 """
 
 from __future__ import annotations
 
 import io
+import math
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal, TypeVar
@@ -20,18 +24,34 @@ from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.colmap.pinhole import to_pinhole
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import check_view_name, decoding, read_bytes, read_json
+from tdgbench.scenes.formats import SUFFIXES, header
+from tdgbench.scenes.inputs import decoding, is_there, read_bytes, read_json
+from tdgbench.scenes.names import key, pair, view_names
 from tdgbench.scenes.scene import Camera, PointCloud, pose_at
 from tdgbench.scenes.validate import MAX_COORDINATE, check_camera, check_pose
 from tdgbench.text import shortened
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])  # axes of a camera
 FISHEYE = "OPENCV_FISHEYE"
+DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+# Keys that change cameras or pixels and are not honoured: refused unless they are 0, false or empty. Others, such as
+# scale, aabb_scale or orientation_override, change the world of poses and points alike, or nothing that is read here.
+REFUSED = (
+    *("k5", "k6", "omega", "b1", "b2", "skew", "distortion_params", "distortion", "fisheye", "fisheye_crop_radius"),
+    *("x_fov", "y_fov", "latlong", "equirectangular", "rolling_shutter", "normal_mts_args", "sharpen"),
+    *("transform_matrix_start", "transform_matrix_end", "white_transparent", "black_transparent"),
+    *(f"ftheta_p{i}" for i in range(5)),
+)  # fmt: skip
+KINDS = ("lens", "lens_model", "lens_type", "projection", "projection_type", "camera_type", "distortion_model")
+NO_PINHOLE = re.compile("fish|equirect|spher|ortho|pano|omni|360", re.IGNORECASE)  # in a text of KINDS
 SPLITS = ("train", "val", "test")
+POINTS = "sparse_pc.ply"  # nerfstudio's default
 CameraModel = Literal["PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE"]
 M = TypeVar("M", bound=BaseModel)
 REMEDY = "copy or download it again, or remove it and use init=random"
 CLEARLY_MORE = 0.02  # of the points, that are in some image in one world and in none in the other
+CHANNELS = ("red", "green", "blue")
+ROUNDING = 1e-3  # by which floats of colours to 1 may be above it
 
 
 @dataclass(frozen=True)
@@ -41,6 +61,7 @@ class TransformsFrame:
     posed: RegisteredImage
     file: Path
     thermal_file: Path | None
+    mask: Path | None
 
 
 @dataclass(frozen=True)
@@ -51,6 +72,7 @@ class Transforms:
     lists: dict[str, list[str]]  # view names by split, of SPLITS
     points: Path | None  # of a .ply file, relative to its folder
     applied_transform: np.ndarray | None  # (4, 4), from the original world to that of the frames
+    assumed: dict[str, str]  # as of Scene
 
 
 def _inside(value: object) -> Path:
@@ -83,21 +105,25 @@ class _File(BaseModel):
     test_filenames: list[RelativePath] | None = None
     ply_file_path: RelativePath | None = None
     applied_transform: Matrix | None = None
+    applied_scale: FiniteFloat = 1.0
 
 
 class _Frame(BaseModel):
     file_path: RelativePath
     thermal_file_path: RelativePath | None = None
+    mask_path: RelativePath | None = None
     transform_matrix: Matrix
 
 
 class _Intrinsics(BaseModel):
-    fl_x: FiniteFloat
-    fl_y: FiniteFloat
-    cx: FiniteFloat
-    cy: FiniteFloat
     w: int
     h: int
+    fl_x: FiniteFloat | None = None
+    fl_y: FiniteFloat | None = None
+    cx: FiniteFloat | None = None
+    cy: FiniteFloat | None = None
+    camera_angle_x: FiniteFloat | None = None  # radians
+    camera_angle_y: FiniteFloat | None = None
     k1: FiniteFloat = 0.0
     k2: FiniteFloat = 0.0
     k3: FiniteFloat = 0.0
@@ -105,6 +131,15 @@ class _Intrinsics(BaseModel):
     p1: FiniteFloat = 0.0
     p2: FiniteFloat = 0.0
     camera_model: CameraModel | None = None
+    is_fisheye: bool = False
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]", "", name).lower()
+
+
+KNOWN = {_plain(name): name for kind in (_File, _Frame, _Intrinsics) for name in kind.model_fields}
+KNOWN |= {_plain(name): name for name in REFUSED}
 
 
 def read_transforms(path: Path) -> Transforms:
@@ -112,28 +147,87 @@ def read_transforms(path: Path) -> Transforms:
     with decoding(path, "JSON", "copy or download it again"):
         content = read_json(path)
     file = _parsed(_File, content, str(path))
-    cameras = {}
+    _check_keys(content, str(path))
+    if file.applied_scale != 1 and (file.ply_file_path is not None or is_there(path.parent / POINTS)):
+        raise SceneError(
+            f"{path} has the applied_scale {file.applied_scale:g}, which programs apply to points in different ways: "
+            f"remove the key, and the points unless they are in the cameras' world; then use init=random"
+        )
+    parsed = [_parsed(_Frame, values, f"{path}: frame {number}") for number, values in enumerate(file.frames)]
+    names = view_names([key(str(frame.file_path)) for frame in parsed], str(path))
+    cameras: dict[CameraEntry, tuple] = {}
     frames: dict[str, TransformsFrame] = {}
-    for number, values in enumerate(file.frames):
-        where = f"{path}: frame {number}"
-        frame = _parsed(_Frame, values, where)
-        name = check_view_name(frame.file_path.stem, where)
-        if name in frames:
-            raise SceneError(f"{where} and another one are both view {name}; view names must be unique in a scene")
+    assumed: set[str] = set()
+    for frame, values, (one, name) in zip(parsed, file.frames, names.items(), strict=True):
         where = f"{path}: frame {name}"
-        entry = _camera_entry(_parsed(_Intrinsics, {**values, **content}, where), where)
+        _check_keys(values, where)
+        stated = _stated(content, values, where)
+        if {"w", "h"}.isdisjoint(stated) and (image := there(path.parent / frame.file_path)) is not None:
+            size = header(image, as_picture=True)
+            stated |= {"w": size.width, "h": size.height}
+            assumed.add("w and h are the image's")
+        entry = _camera_entry(_parsed(_Intrinsics, stated, where), where, assumed)
         if entry not in cameras:
             cameras[entry] = to_pinhole(entry, where)
         pinhole, undistortion = cameras[entry]
         to_world = frame.transform_matrix
         check_pose(to_world, where)
         pose = pose_at(to_world[:3, 3], (to_world[:3, :3] @ OPENGL_TO_OPENCV).T)
-        camera = Camera(pinhole.K, pose, pinhole.width, pinhole.height)
-        posed = RegisteredImage(name, check_camera(camera, where), undistortion)
-        frames[name] = TransformsFrame(posed, frame.file_path, frame.thermal_file_path)
+        camera = check_camera(Camera(pinhole.K, pose, pinhole.width, pinhole.height), where)
+        posed = RegisteredImage(name, camera, undistortion, one)
+        frames[name] = TransformsFrame(posed, frame.file_path, frame.thermal_file_path, frame.mask_path)
+    views = {name: one for one, name in names.items()}
     lists = {split: getattr(file, f"{split}_filenames") for split in SPLITS}
-    stems = {split: [name.stem for name in names] for split, names in lists.items() if names is not None}
-    return Transforms(frames, stems, file.ply_file_path, file.applied_transform)
+    parts = {split: _listed(paths, views, path) for split, paths in lists.items() if paths is not None}
+    said = {"intrinsics": f"{', '.join(sorted(assumed))}: {path.name} does not say it"} if assumed else {}
+    return Transforms(frames, parts, file.ply_file_path, file.applied_transform, said)
+
+
+def there(path: Path) -> Path | None:
+    """Return a file, also if its name lacks the extension, as instant-ngp has it; None if there is none."""
+    names = [path.name, *(path.name + suffix for suffix in SUFFIXES)]
+    return next((path.with_name(name) for name in names if is_there(path.with_name(name))), None)
+
+
+def _listed(paths: list[Path], views: dict[str, str], where: Path) -> list[str]:
+    """Return the views of a split's list, whose keys are `views`. Raises SceneError for an unknown one."""
+    keys = dict.fromkeys(key(str(path)) for path in paths)
+    found = {file: view for view, file in pair(keys, views, str(where)).items()}
+    unknown = [one for one in keys if one not in found]
+    if unknown:
+        raise SceneError(f"{where} lists {unknown[0]} in its split, but has no such frame. Correct the list")
+    return [found[one] for one in keys]
+
+
+def _check_keys(values: dict[str, object], where: str) -> None:
+    """Raise SceneError for a key that changes cameras or pixels and is not honoured, or is spelled in another way."""
+    for name, value in values.items():
+        is_set = any(value) if isinstance(value, list) else bool(value)
+        if (name in REFUSED and is_set) or (name in KINDS and NO_PINHOLE.search(str(value))):
+            said = shortened(repr(value), 60)
+            raise SceneError(
+                f"{where} has the {name} {said}, which changes cameras or pixels and is not read here; undistort the "
+                "images, or remove the key if it means nothing"
+            )
+        known = KNOWN.get(_plain(name), name)
+        if known != name and is_set:
+            raise SceneError(f"{where} has the key {name!r}; if it is {known}, rename it, else remove it")
+
+
+def _stated(content: dict[str, object], frame: dict[str, object], where: str) -> dict[str, object]:
+    """Return the intrinsics of a frame: its own, and the file's. Raises SceneError where they contradict each other."""
+    common = {name: content[name] for name in _Intrinsics.model_fields if name in content}
+    if any(name in common for name in DISTORTION):  # nerfstudio reads all from the file then
+        common = dict.fromkeys(DISTORTION, 0.0) | common
+    for name in sorted(common.keys() & frame.keys()):
+        own, value = frame[name], common[name]
+        numbers = isinstance(own, int | float) and isinstance(value, int | float)
+        if own != value and not (numbers and math.isclose(own, value, rel_tol=1e-6)):  # type: ignore[arg-type]
+            raise SceneError(
+                f"{where} has the {name} {shortened(repr(own), 30)}, the file as a whole {shortened(repr(value), 30)}: "
+                "nerfstudio takes the file's, instant-ngp the frame's; remove the wrong one"
+            )
+    return {**frame, **common}
 
 
 def _parsed(kind: type[M], values: object, where: str) -> M:
@@ -142,42 +236,65 @@ def _parsed(kind: type[M], values: object, where: str) -> M:
         return kind.model_validate(values)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        key = first["loc"][0] if first["loc"] else "content"
-        what = f"has the {key} {shortened(repr(first['input']), 60)}: {first['msg']}"
-        what = f"has no {key}" if first["type"] == "missing" else what
+        name = first["loc"][0] if first["loc"] else "content"
+        what = f"has the {name} {shortened(repr(first['input']), 60)}: {first['msg']}"
+        what = f"has no {name}" if first["type"] == "missing" else what
         raise SceneError(f"{where} {what}. Correct the file, a transforms.json of nerfstudio") from error
 
 
-def _camera_entry(camera: _Intrinsics, where: str) -> CameraEntry:
-    """Return COLMAP's camera of a frame."""
-    k1, k2, k3, p1, p2 = camera.k1, camera.k2, camera.k3, camera.p1, camera.p2
-    model: str = "PINHOLE"
-    distortion: tuple[float, ...] = ()
-    if camera.camera_model == FISHEYE:
-        model, distortion = FISHEYE, (k1, k2, k3, camera.k4)
-    elif camera.k4 != 0:
-        raise SceneError(f"{where} has the k4 {camera.k4:g}, which only {FISHEYE} has; undistort the images")
+def _camera_entry(camera: _Intrinsics, where: str, assumed: set[str]) -> CameraEntry:
+    """Return COLMAP's camera of a frame. What is missing is as instant-ngp has it, and added to `assumed`."""
+    angles = (camera.fl_x, camera.camera_angle_x, camera.w), (camera.fl_y, camera.camera_angle_y, camera.h)
+    fx, fy = (size / (2 * math.tan(angle / 2)) if one is None and angle else one for one, angle, size in angles)
+    if fx is None:
+        raise SceneError(f"{where} has no fl_x and no camera_angle_x. Correct the file, a transforms.json")
+    cx, cy = (half if one is None else one for one, half in ((camera.cx, camera.w / 2), (camera.cy, camera.h / 2)))
+    missing = {"fl_y is fl_x": fy, "cx is the centre": camera.cx, "cy is the centre": camera.cy}
+    assumed |= {what for what, value in missing.items() if value is None}
+    k1, k2, k3, k4, p1, p2 = (getattr(camera, name) for name in DISTORTION)
+    stated, is_radial = camera.camera_model, (k1, k2, k3, k4) != (0, 0, 0, 0)
+    if camera.is_fisheye and stated != FISHEYE and (stated is not None or not is_radial):
+        other = stated or "a pinhole to instant-ngp, without k1 to k4"
+        raise SceneError(f"{where} is_fisheye and {other}; state the camera_model {FISHEYE}, or remove is_fisheye")
+    model, distortion = "PINHOLE", ()  # type: tuple[str, tuple[float, ...]]
+    if camera.is_fisheye or stated == FISHEYE:
+        model, distortion = FISHEYE, (k1, k2, k3, k4)
+        if (p1, p2) != (0, 0):
+            raise SceneError(f"{where} has p1 {p1:g} and p2 {p2:g}, which {FISHEYE} has not; undistort the images")
+    elif k4 != 0:
+        raise SceneError(f"{where} has the k4 {k4:g}, which only {FISHEYE} has; undistort the images")
     elif k3 != 0:
         model, distortion = "FULL_OPENCV", (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
     elif (k1, k2, p1, p2) != (0, 0, 0, 0):
         model, distortion = "OPENCV", (k1, k2, p1, p2)
-    return CameraEntry(1, model, camera.w, camera.h, (camera.fl_x, camera.fl_y, camera.cx, camera.cy, *distortion))
+    return CameraEntry(1, model, camera.w, camera.h, (fx, fx if fy is None else fy, cx, cy, *distortion))
 
 
-def read_points(path: Path) -> PointCloud:
-    """Read vertices of a PLY file with x, y, z and, where it has them, red, green, blue. Raises SceneError."""
+def read_points(path: Path) -> tuple[PointCloud, str]:
+    """Read vertices of a PLY file with x, y, z and, where it has them, colours; and say how these were read.
+
+    Floats up to 1 are the colours; else they go to 255, or to 65 535 where one is higher. Raises SceneError.
+    """
     with decoding(path, "a point cloud", REMEDY):
         vertex = read_ply(io.BytesIO(read_bytes(path)))["vertex"]
         xyz = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=-1)
         names = {prop.name for prop in vertex.properties}
-        colors = np.full(xyz.shape, 0.5, np.float32)
-        if {"red", "green", "blue"} <= names:
-            channels = [np.asarray(vertex[channel]) for channel in ("red", "green", "blue")]
-            scale = 255 if all(channel.dtype.kind in "iu" for channel in channels) else 1
-            colors = np.stack(channels, axis=-1).astype(np.float32) / np.float32(scale)
-    if not (np.abs(xyz) <= MAX_COORDINATE).all() or not ((colors >= 0) & (colors <= 1)).all():  # NaN included
-        raise SceneError(f"{path} has points or colours that are not finite, or beyond {MAX_COORDINATE:g}; {REMEDY}")
-    return PointCloud(xyz, colors)
+        prefix = next((one for one in ("", "diffuse_") if {one + channel for channel in CHANNELS} <= names), None)
+        colors, said = np.full(xyz.shape, 0.5, np.float32), ""
+        if prefix is not None:
+            stored = np.stack([np.asarray(vertex[prefix + channel]) for channel in CHANNELS], axis=-1)
+            highest, is_float = stored.max(initial=0), stored.dtype.kind == "f"
+            most = 1 if is_float and highest <= 1 + ROUNDING else 255 if highest <= 255 else 65535
+            colors = stored.astype(np.float32) / np.float32(most)
+            said = "" if stored.dtype == np.uint8 else f"{stored.dtype}, 0 to {most}"
+    good = {
+        f"a point that is not finite or beyond {MAX_COORDINATE:g}": np.abs(xyz) <= MAX_COORDINATE,
+        "a colour that is not finite, negative or above 65535": (colors >= 0) & (colors <= 1 + ROUNDING),
+    }
+    for what, values in good.items():
+        if not values.all():
+            raise SceneError(f"{path}: vertex {np.argwhere(~values)[0, 0]} has {what}; remove it, or {REMEDY}")
+    return PointCloud(xyz, np.minimum(colors, 1)), said
 
 
 def where_they_are(

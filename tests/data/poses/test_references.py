@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -105,6 +106,24 @@ def test_opensfm_takes_the_largest_model(tmp_path, poses):
         read_reference(tmp_path / "reconstruction.json").lenses()
 
 
+def test_equal_base_names_are_named_by_their_folders(tmp_path, poses):
+    """As in COLMAP models, so that both compare; and only extensions of images are dropped."""
+    given = dict(
+        zip(["a/left/1.v0.JPG", "a/right/1.v0.JPG", "a/left/2", "a/right/2.tif"], poses.values(), strict=False)
+    )
+    shots = {name: {"rotation": Rotation.from_matrix(pose[:3, :3]).as_rotvec().tolist(),
+                    "translation": pose[:3, 3].tolist(), "camera": "c"} for name, pose in given.items()}  # fmt: skip
+    (tmp_path / "reconstruction.json").write_text(json.dumps([{"cameras": {}, "shots": shots}]))
+    camera = Camera(np.diag([50, 50, 1.0]), np.eye(4), 64, 48)
+    views = [(name, replace(camera, world_to_camera=pose)) for name, pose in given.items()]
+    write_model(tmp_path / "model", views, PointCloud(np.zeros((0, 3)), np.zeros((0, 3), np.float32)))
+    expected = dict(zip(["left_1.v0", "right_1.v0", "left_2", "right_2"], given.values(), strict=True))
+    for path in (tmp_path / "reconstruction.json", tmp_path / "model"):
+        found = read_reference(path).poses
+        assert set(found) == set(expected)
+        assert all(np.allclose(found[name], pose, atol=1e-9) for name, pose in expected.items())
+
+
 def test_scenes_models_and_nerfstudio(tmp_path, poses, small_gray_scene):
     K = np.array([[500, 0, 320], [0, 500, 256], [0, 0, 1.0]])
     views = [(f"{name}.png", Camera(K, pose, 640, 512)) for name, pose in poses.items()]
@@ -116,7 +135,7 @@ def test_scenes_models_and_nerfstudio(tmp_path, poses, small_gray_scene):
     scene = FolderDataset(str(folder), ReadOptions()).load(None)
     export_scene(scene, tmp_path / "export", "nerfstudio")
     cameras = {view.name: view.camera for view in scene.views}
-    known, _, points = read_reference(tmp_path / "export" / "transforms.json")
+    known, _, points, *_ = read_reference(tmp_path / "export" / "transforms.json")
     assert np.allclose(points.points, scene.points.points)
     assert set(known) == set(read_reference(folder).poses) == set(cameras)
     for name, camera in cameras.items():

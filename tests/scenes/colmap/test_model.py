@@ -20,7 +20,7 @@ def test_round_trip(tmp_path):
     views = [(f"a/v{i}.png", Camera(K, pose(i), 64, 48)) for i in range(3)]
     cloud = PointCloud(np.random.default_rng(0).normal(size=(9, 3)), np.full((9, 3), 0.2, np.float32))
     write_model(tmp_path / "0", views, cloud)
-    posed, points = read_model(tmp_path / "0")
+    posed, points, _ = read_model(tmp_path / "0")
     assert sorted(posed) == ["v0", "v1", "v2"]
     for name, camera in views:
         read = posed[name[2:-4]].camera
@@ -46,7 +46,7 @@ def test_distorted_cameras_become_pinholes(tmp_path):
     model.add_camera_with_trivial_rig(distorted)
     model.add_image_with_trivial_frame(pycolmap.Image(name="v.png", camera_id=1, image_id=1), pycolmap.Rigid3d())
     model.write_binary(str(tmp_path))
-    posed, points = read_model(tmp_path)
+    posed, points, _ = read_model(tmp_path)
     view = posed["v"]
     assert points is None and view.undistortion is not None
     assert view.camera.K[0, 1] == 0 and view.camera.K[0, 0] > 0
@@ -86,3 +86,19 @@ def test_tracks_say_which_views_see_a_point(tmp_path, kind):
     order = np.argsort(cloud.points[:, 0])
     assert cloud.tracks.views_of_points(4, {"a", "b"})[order].tolist() == [1, 2, 1, 0]
     assert cloud.tracks.views_of_points(4, {"b", "other"})[order].tolist() == [0, 1, 1, 0]
+
+
+def test_one_model_of_two_modalities(tmp_path):
+    """Images of one modality are the views; points are seen by these alone."""
+    K = np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])
+    views = [(f"{kind}/{name}.png", Camera(K, pose(seed), 64, 48))
+             for seed, (kind, name) in enumerate([("rgb", "a"), ("thermal", "a"), ("rgb", "b")])]  # fmt: skip
+    points = views[0][1].center + views[0][1].world_to_camera[:3, :3].T @ np.array([0, 0, 2.0])
+    write_model(tmp_path, views, PointCloud(points[None], np.zeros((1, 3), np.float32)), observations=9)
+    read = read_model(tmp_path, ("thermal", "rgb"))
+    assert list(read.images) == ["a"] and list(read.others) == ["a", "b"] and read.images["a"].key == "thermal/a"
+    assert np.allclose(read.images["a"].camera.world_to_camera, pose(1))
+    assert np.allclose(read.others["a"].camera.world_to_camera, pose(0))
+    seen = [bool(view.shows(points[None])[0]) for _, view in views]
+    assert read.points.tracks.views_of_points(1, {"a", "b"}).tolist() == [int(seen[1])] and seen[0]
+    assert list(read_model(tmp_path).images) == ["rgb_a", "thermal_a", "rgb_b"]

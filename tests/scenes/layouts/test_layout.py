@@ -15,7 +15,7 @@ def test_each_layout_is_detected_and_named(small_gray_scene, tmp_path, name):
     layout = LAYOUTS[SHIPPED[name].layout]
     assert detect(folder) is layout
     scene = load(folder)
-    assert scene.notes[0] == f"layout {layout.title}: {layout.looks}" and "\n" not in scene.notes[0]
+    assert scene.assumed["layout"] == f"{layout.title}: {layout.looks}"
     assert (scene.temperature is not None) == SHIPPED[name].in_celsius
     assert (scene.train[0].load_rgb is not None) == SHIPPED[name].has_rgb
 
@@ -39,7 +39,7 @@ def test_a_folder_of_scenes_in_all_layouts(small_gray_scene, tmp_path):
 def test_registered_scenes_may_have_any_layout(small_gray_scene, tmp_path, name):
     SHIPPED[name].write(small_gray_scene, tmp_path / "ThermalMix" / "Pan")
     scene = RegisteredDataset(str(tmp_path), ReadOptions()).load("Pan")
-    assert scene.notes[0].startswith(f"layout {LAYOUTS[SHIPPED[name].layout].title}: ") and len(scene.views) == 10
+    assert scene.assumed["layout"].startswith(LAYOUTS[SHIPPED[name].layout].title) and len(scene.views) == 10
 
 
 def test_a_folder_without_a_layout(tmp_path):

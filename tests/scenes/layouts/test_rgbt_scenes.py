@@ -14,10 +14,7 @@ def test_as_shipped(small_scene, tmp_path):
     scene = load(write_rgbt_scenes(small_scene, tmp_path / "Truck"), split="folder")
     assert [view.name for view in scene.test] == ["view000", "view008"] and len(scene.train) == 8
     assert scene.channels == 3 and scene.temperature is None and scene.views[0].valid is None
-    assert scene.notes == [
-        "layout RGBT-Scenes: {rgb,thermal}/[train|test/]<view>.png, sparse/0 (COLMAP), [temperature.json]",
-        "1 posed views have no thermal image and are omitted: lost",
-    ]
+    assert scene.notes == ["1 posed views have no thermal image and are omitted: lost"]
 
 
 @pytest.mark.parametrize("model", ["sparse", "colmap/sparse/0"])
@@ -66,7 +63,7 @@ def test_radiometric_files_that_do_not_fit(small_scene, tmp_path):
     for view in small_scene.views[:4]:
         write_flir(folder / "raw_images" / f"{view.name}.jpg", FlirCamera().counts(celsius(view, small_scene)))
     scene = load(folder, thermal="radiometric")
-    assert len(scene.views) == 4 and "7 posed views have no thermal image" in scene.notes[2]
+    assert len(scene.views) == 4 and "7 posed views have no thermal image" in scene.notes[1]
     shutil.copy(folder / "thermal" / "train" / "view001.jpg", folder / "raw_images" / "view001.jpg")
-    with pytest.raises(SceneError, match=r"raw_images/view001\.jpg holds no temperatures: it has no FLIR segment"):
+    with pytest.raises(SceneError, match=r"raw_images/view001\.jpg holds no temperatures: it is a picture"):
         load(folder, thermal="radiometric")

@@ -31,7 +31,7 @@ def test_every_place_that_the_authors_loader_knows(small_gray_scene, tmp_path, m
     shown = span.min + view.thermal[..., 0] * (span.max - span.min)
     expected = celsius(original, small_gray_scene).clip(span.min, span.max)
     assert np.allclose(shown, expected, atol=1e-4)
-    assert scene.notes[0].startswith("layout ThermalMix: warped_thermal/") and "lost" in scene.notes[1]
+    assert scene.assumed["layout"].startswith("ThermalMix: warped_thermal/") and "lost" in scene.notes[0]
 
 
 def test_the_first_place_is_taken(small_gray_scene, tmp_path):
@@ -75,7 +75,7 @@ def test_fillers_nan_and_infinities_are_masked(small_gray_scene, tmp_path):
         expected[20, [20, 22, 24]] = False
         assert np.array_equal(view.valid, expected)
         assert (view.thermal[~view.valid] == 0).all() and np.isfinite(view.thermal).all()
-    assert scene.temperature.min > 10 and "masked, as not measured or filled with 0 °C" in scene.notes[2]
+    assert scene.temperature.min > 10 and "masked, as not measured or filled with 0 °C" in scene.notes[1]
     kept = load(tmp_path / "lion", fillers=[])
     assert kept.temperature.min == 0 and kept.views[0].valid.sum() == 36 * 48 - 3
 
@@ -103,7 +103,7 @@ def test_the_range_is_that_of_the_training_views(small_gray_scene, tmp_path):
 
     folder = write_thermalmix(small_gray_scene, tmp_path / "lion", change=hot)
     scene = load(folder)
-    assert scene.temperature.max < 60 and "are outside and clipped" in scene.notes[-1]
+    assert scene.temperature.max < 60 and "% of the pixels are clipped" in scene.assumed["range"]
     assert scene.test[0].thermal.min() == 1
     assert load(folder, temperature=[16.8, 48.3]).temperature.max == 48.3
     (folder / "temperature.json").write_text('{"min": 10, "max": 50}')
@@ -122,8 +122,8 @@ def test_names_of_table_1(small_gray_scene, tmp_path):
 
 
 BAD = [
-    (lambda degC: np.full_like(degC, np.nan), "has no valid pixel: all of them are masked, or not measured"),
-    (lambda degC: np.full_like(degC, 1e9), "has no valid pixel"),
+    (lambda degC: np.full_like(degC, np.nan), "holds no temperature between"),
+    (lambda degC: np.full_like(degC, 1e9), "holds no temperature"),
     (lambda degC: np.stack([degC] * 3, axis=-1), r"has the shape \(36, 48, 3\); temperatures are \(H, W\) or"),
     (lambda degC: degC[0], r"has the shape \(48,\)"),
     (lambda degC: degC[:, :0], r"has the shape \(36, 0\)"),
@@ -188,9 +188,9 @@ def test_as_downloaded(small_gray_scene, tmp_path):
         truth = LION.min + original.thermal[..., 0] * (LION.max - LION.min)
         error = np.abs(LION.min + view.thermal[..., 0] * (LION.max - LION.min) - truth)[view.valid]
         assert error.mean() < JPEG_ERROR[0] * LEVEL and np.percentile(error, 99) < JPEG_ERROR[1] * LEVEL
-    assert scene.notes[0].startswith("layout ThermalMix: warped_thermal/<view>.jpg") and "lost" in scene.notes[1]
-    assert scene.notes[2:4] == [
-        "black and white of gray images are 16.8 and 48.3 °C, as published",
+    assert scene.assumed["layout"].startswith("ThermalMix: warped_thermal/<view>.jpg") and "lost" in scene.notes[0]
+    assert scene.assumed["values"] == "gray; black and white are 16.8 and 48.3 °C, as published"
+    assert scene.notes[1:] == [
         "16.7% of the pixels are masked, as filler of the warp, darker than the image before it (data.fillers=[] keeps "
         "them, raised to that)",
     ]
