@@ -84,6 +84,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         channels=0,
         notes=[*scene_files.notes, *notes, *left_out, *_about_masks(masks, names)],
         folder=folder,
+        model=scene_files.model,
         assumed={
             **({"layout": f"{layout.title}: {layout.looks}"} if detected else {}),
             **scene_files.assumed, **_about_sizes(sources, options), **_about_lenses(scene_files.posed, names),

@@ -86,6 +86,8 @@ def read_model(folder: Path, modality: tuple[str, str] | None = None) -> ReadMod
     images = reader.read_images(images_file)
     if not images:
         raise SceneError(f"{images_file} has no registered image; {REMEDY}")
+    if len({image.id for image in images}) < len(images):
+        raise DamagedModelError(images_file, "two of its images have one id")
     keys = [key(image.name) for image in images]
     wanted = {*(keys if modality is None else of_modality(keys, *modality))}
     names: dict[str, str] = {}

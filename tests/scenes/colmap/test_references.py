@@ -73,6 +73,7 @@ def test_points_that_are_not_finite_are_named(new):
         ("points3D.txt", 4, "300", "out of its range"),
         ("points3D.txt", 1, "1_0", "line 4 is no point: it has a word that is no number"),
         ("cameras.txt", 0, "2", "two of its cameras have one id"),
+        ("images.txt", 0, "2", "two of its images have one id"),
         ("cameras.txt", 1, "PINHOLES", "line 4 is no camera: PINHOLES with 4 parameters is no camera model"),
         ("cameras.txt", 4, "6O", "line 4 is no camera: could not convert string to float: '6O'"),
         ("cameras.txt", 4, "6_0", "line 4 is no camera: '6_0' is no number"),
