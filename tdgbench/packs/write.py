@@ -51,7 +51,7 @@ def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -
             size = content.seek(0, 2)
             content.seek(0)
             files[name] = PackedFile(size, hashlib.file_digest(content, "sha256").hexdigest())
-    check_amount(files, 0, 0)
+    check_amount(files)
     own = experiment.resolve().name
     text = Manifest(own if re.fullmatch(NAME, own) else folder_name(own), __version__, files).to_json()
     name = sha256(text)

@@ -1,9 +1,8 @@
-"""Archives made in memory."""
+"""Zip archives made in memory."""
 
 from __future__ import annotations
 
 import io
-import tarfile
 import zipfile
 
 import numpy as np
@@ -23,15 +22,4 @@ def zipped(files: dict[str, bytes], compression: int = zipfile.ZIP_STORED) -> by
     with zipfile.ZipFile(out, "w", compression) as archive:
         for name, content in files.items():
             archive.writestr(zipfile.ZipInfo(name), content, compression)
-    return out.getvalue()
-
-
-def tarred(files: dict[str, bytes], compression: str = "gz") -> bytes:
-    """A tar archive."""
-    out = io.BytesIO()
-    with tarfile.open(fileobj=out, mode=f"w:{compression}") as archive:
-        for name, content in files.items():
-            info = tarfile.TarInfo(name)
-            info.size = len(content)
-            archive.addfile(info, io.BytesIO(content))
     return out.getvalue()

@@ -25,7 +25,6 @@ class Fault(NamedTuple):
     """
 
     status: int | None = None
-    headers: tuple[tuple[str, str], ...] = ()
     cut: int | None = None
     ranges: bool = True
     length: bool = True
@@ -126,8 +125,6 @@ class _Handler(BaseHTTPRequestHandler):
         else:
             self.send_response(200)
             body = content
-        for key, value in fault.headers:
-            self.send_header(key, value)
         if fault.length:
             self.send_header("Content-Length", str(len(body)))
         self.end_headers()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import stat
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -123,7 +122,7 @@ TAMPERINGS = {  # those of a cell are in tests/verify/test_cell.py
 @pytest.mark.parametrize("tamper", TAMPERINGS.values(), ids=TAMPERINGS)
 def test_tampering_is_found(packed, tmp_path, tamper):
     changed = write(tmp_path / "b.zip", tamper(entries(packed)))
-    with pytest.raises(ValueError, match=r"b\.zip is no pack, or was changed: "):
+    with pytest.raises(ValueError, match=r"b\.zip is no pack, or damaged or changed: "):
         unpack(changed, tmp_path / "theirs")
     assert not (tmp_path / "theirs").exists()
 
@@ -152,7 +151,7 @@ BROKEN = {
     "a format of the future": (of_manifest(lambda m: m.update(format=2)), "format"),
     "no manifest": (without(manifest.FILE), "has no manifest"),
     "a manifest that is none": (at(manifest.FILE, lambda data: b"[]"), "manifest"),
-    "a smaller size": (of_manifest(lambda m: m["files"][RENDER].update(size=9)), "larger than 9 bytes"),
+    "a smaller size": (of_manifest(lambda m: m["files"][RENDER].update(size=9)), "not what the manifest states"),
     "a larger size": (of_manifest(lambda m: m["files"][RENDER].update(size=10**7)), "not what the manifest states"),
 }
 
@@ -169,17 +168,6 @@ def test_two_files_of_one_name(packed, tmp_path):
     with zipfile.ZipFile(tmp_path / "b.zip", "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
         archive.writestr(RECORD, b"{}")
     with pytest.raises(ValueError, match="two files of one name"):
-        unpack(tmp_path / "b.zip", tmp_path / "theirs")
-
-
-def test_links_are_refused(packed, tmp_path):
-    link = zipfile.ZipInfo(RENDER)
-    link.external_attr = (stat.S_IFLNK | 0o777) << 16
-    content = fits({**entries(packed), RENDER: b"/etc/passwd"})
-    with zipfile.ZipFile(tmp_path / "b.zip", "w") as archive:
-        for name, data in content.items():
-            archive.writestr(link if name == RENDER else name, data)
-    with pytest.raises(ValueError, match=r"view000\.png is no regular file"):
         unpack(tmp_path / "b.zip", tmp_path / "theirs")
 
 
@@ -208,29 +196,24 @@ def test_an_experiment_with_another_name_is_packed_under_a_plain_one(small_resul
     assert content.experiment.startswith("it_s__mine~")
 
 
-def bomb(path: Path, packed: Path, name: str, size: int, method: int = zipfile.ZIP_DEFLATED) -> Path:
+def bomb(path: Path, packed: Path, name: str, size: int) -> Path:
     """A pack in which a file has so many zeros."""
     content = fits({**entries(packed), name: bytes(size)})
-    with zipfile.ZipFile(path, "w", method) as archive:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for entry, data in content.items():
             archive.writestr(entry, data)
     return path
 
 
 def test_limits_are_checked_before_anything_is_unpacked(packed, tmp_path, monkeypatch):
-    """Bytes against those of the pack, files, the list of files, each kind of file, and the disk."""
+    """Bytes against those of the pack, files, each kind of file, and the disk."""
     model = f"{CELL}/model.ply"
     with pytest.raises(ValueError, match=r"it would unpack to 2\d\d MB, more than 64 MB"):
         unpack(bomb(tmp_path / "a.zip", packed, model, 200 * MB), tmp_path / "theirs")
     with pytest.raises(ValueError, match=r"record\.json has 17 MB, more than 4 MB"):
         unpack(bomb(tmp_path / "b.zip", packed, RECORD, 17 * MB), tmp_path / "theirs")
-    with pytest.raises(ValueError, match="in another way than by deflate"):
-        unpack(bomb(tmp_path / "c.zip", packed, model, 100, zipfile.ZIP_BZIP2), tmp_path / "theirs")
     monkeypatch.setattr(limits, "MOST_FILES", 10)
     with pytest.raises(ValueError, match="files, more than 10"):
-        unpack(packed, tmp_path / "theirs")
-    monkeypatch.setattr(limits, "MOST_DIRECTORY", 1000)
-    with pytest.raises(ValueError, match="its list of files has"):
         unpack(packed, tmp_path / "theirs")
     monkeypatch.undo()
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=100))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from tdgbench.data.get.fetch import Download, fetch, scene_folders
-from tdgbench.data.get.listing import ZENODO
-from tdgbench.data.get.sources import SOURCES, GetError
+from tdgbench.data.get.fetch import fetch, scene_folders, state
+from tdgbench.data.get.packages import packages_of
+from tdgbench.data.get.sources import SOURCES, ZENODO, GetError, list_files
 from tdgbench.data.progress import amount
 from tdgbench.terminal import say
 from tdgbench.text import one_line
@@ -29,29 +29,22 @@ def run(arguments: argparse.Namespace) -> int:
     """
     source = SOURCES[arguments.dataset]
     folder = arguments.root / source.folder
-    request = Download(source, folder, tuple(arguments.scene), arguments.force, arguments.zenodo)
     say(f"{source.folder} ({source.paper}): {source.page}")
     try:
+        packages, others = packages_of(source, list_files(source, arguments.zenodo), arguments.scene)
+        if others:
+            say(one_line(f"not fetched: {', '.join(map(str, others))}; scenes belong into {folder}"))
         if not arguments.list:
-            return 0 if fetch(request) else 1
-        show_listing(request)
+            return 0 if fetch(source, folder, packages, arguments.force) else 1
     except GetError as error:
         raise GetError(
             f"{error}; or open {source.page} in a browser and unpack its scenes to {folder}/<Scene>; if the page is "
             f"gone, ask its authors ({source.authors})"
         ) from error
-    return 0
-
-
-def show_listing(request: Download) -> None:
-    """Show each download of a data set: its size, and whether it is there."""
-    packages, others = request.listing()
-    there = scene_folders(request.source, request.folder)
+    there = scene_folders(source, folder)
     for package in packages:
-        files = "" if len(package.files) == 1 else f", {len(package.files)} files"
         scene = f", scene {package.scene}" if package.scene else ""
-        say(one_line(f"{package.name}{scene}{files}: {amount(package.size)}, {request.state(package, there)}"))
-    if others:
-        say(one_line(f"not fetched: {', '.join(map(str, others))}"))
-    sizes = [package.size for package in packages]
-    say(f"in all {amount(None if None in sizes else sum(size or 0 for size in sizes))}")
+        files = "" if package.is_archive else f", {len(package.files)} files"
+        say(one_line(f"{package.name}{scene}{files}: {amount(package.size)}, {state(package, there, arguments.force)}"))
+    say(f"in all {amount(sum(package.size or 0 for package in packages) or None)}")
+    return 0

@@ -1,14 +1,29 @@
-"""Where the authors publish their data sets."""
+"""Where the authors publish their data sets, and how the files there are listed and downloaded."""
 
 from __future__ import annotations
 
+import hashlib
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path, PurePosixPath
+from typing import Annotated, NamedTuple
 
+import gdown
+import requests
+from pydantic import BaseModel, Field, NonNegativeInt
+
+from tdgbench import __version__
+from tdgbench.archives import safe_path
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.registry import DATASETS, SCENES
+from tdgbench.text import shortened
 
-DRIVE_FOLDERS = "https://drive.google.com/drive/folders/"
+ZENODO, DRIVE = "https://zenodo.org", "https://drive.google.com"
+AGENT = f"tdgbench/{__version__}"
+TIMEOUT = (15.0, 60.0)  # s, for a connection and for bytes
+RETRIES = 5  # after a cut connection; gdown waits longer and longer between them
+FAILURES = (gdown.DownloadError, requests.RequestException)
 
 
 class GetError(SceneError):
@@ -23,21 +38,15 @@ class BadFileError(GetError):
 class PublishedDataset:
     """A published data set.
 
-    folder: of the data set in a data root. identifier: of a Zenodo record or of a Google Drive folder. authors: whom to
-    ask if it is gone.
+    folder: of the data set in a data root. page: the address for a browser, which ends in the identifier of a Zenodo
+    record or of a Google Drive folder. authors: whom to ask if it is gone.
     """
 
     dataset: str
     folder: str
     paper: str
-    host: Literal["Zenodo", "Google Drive"]
-    identifier: str
+    page: str
     authors: str
-
-    @property
-    def page(self) -> str:
-        """The address for a browser."""
-        return ("https://zenodo.org/records/" if self.host == "Zenodo" else DRIVE_FOLDERS) + self.identifier
 
     def scene(self, folder: str) -> str:
         """Return the name of a scene: the paper's for a name or alias of one of its scenes, else the folder's.
@@ -53,13 +62,95 @@ SOURCES = {
     source.dataset: source
     for source in (
         # mert-o/ThermalNeRFs, readme.md, d822bd1
-        PublishedDataset("thermalmix", DATASETS["thermalmix"], "Özer et al. 2024", "Zenodo", "11065834",
-               "github.com/mert-o/ThermalNeRFs"),
+        PublishedDataset("thermalmix", DATASETS["thermalmix"], "Özer et al. 2024",
+               f"{ZENODO}/records/11065834", "github.com/mert-o/ThermalNeRFs"),
         # chen-hangyu/Thermal-Gaussian-main, README.md, 050c291; issue 14 (November 2025): the folder is gone
-        PublishedDataset("rgbt_scenes", DATASETS["rgbt_scenes"], "Lu et al. 2024", "Google Drive",
-               "1xuPwqezNW_LSB5C-H8TQFJ7nLoSS2BOg", "github.com/chen-hangyu/Thermal-Gaussian-main"),
+        PublishedDataset("rgbt_scenes", DATASETS["rgbt_scenes"], "Lu et al. 2024",
+               f"{DRIVE}/drive/folders/1xuPwqezNW_LSB5C-H8TQFJ7nLoSS2BOg",
+               "github.com/chen-hangyu/Thermal-Gaussian-main"),
         # Schindler-EPFL-Lab/thermo-nerf, README.md, 08d9be9
-        PublishedDataset("thermoscenes", "ThermoScenes", "Hassan et al. 2024", "Zenodo", "10835108",
-               "github.com/Schindler-EPFL-Lab/thermo-nerf"),
+        PublishedDataset("thermoscenes", "ThermoScenes", "Hassan et al. 2024",
+               f"{ZENODO}/records/10835108", "github.com/Schindler-EPFL-Lab/thermo-nerf"),
     )
 }  # fmt: skip
+
+
+class RemoteFile(NamedTuple):
+    """A published file. size: in bytes; 0: unknown. identity: `md5:…` or `drive:…`, equal for equal content alone."""
+
+    path: PurePosixPath
+    address: str
+    size: int
+    identity: str
+
+
+class _Entry(BaseModel):
+    """A file as Zenodo's API describes it; `links["self"]` is its address."""
+
+    key: str
+    size: NonNegativeInt
+    checksum: Annotated[str, Field(pattern="^md5:[0-9a-f]{32}$")]
+    links: dict[str, str]
+
+
+class _ZenodoRecord(BaseModel):
+    files: list[_Entry]
+
+
+def list_files(source: PublishedDataset, zenodo: str = ZENODO) -> list[RemoteFile]:
+    """Return the published files of a data set. Raises GetError.
+
+    zenodo: address of Zenodo, or of a mirror that speaks its API. Google gives neither sizes nor sums to a program
+    without an account; gdown >= 6 lists any number of files (before, a list ended after 50: its pull request 453).
+    """
+    identifier = source.page.rpartition("/")[2]
+    try:
+        if source.page.startswith(DRIVE):
+            found = gdown.download_folder(
+                id=identifier, quiet=True, use_cookies=False, skip_download=True, timeout=TIMEOUT
+            )
+            files = [(safe_path(Path(one.path).as_posix()), one.id) for one in found if not isinstance(one, str)]
+            return [RemoteFile(path, f"{DRIVE}/uc?id={key}", 0, f"drive:{key}") for path, key in files]
+        url = f"{zenodo.rstrip('/')}/api/records/{identifier}"
+        answer = requests.get(url, headers={"User-Agent": AGENT}, timeout=TIMEOUT)
+        answer.raise_for_status()
+        entries = _ZenodoRecord.model_validate_json(answer.content).files
+        return [RemoteFile(safe_path(e.key), e.links["self"], e.size, e.checksum) for e in entries]
+    except (*FAILURES, KeyError, ValueError) as error:  # pydantic's are ValueError
+        raise GetError(f"the files of {source.folder} cannot be listed: {_reason(error)}") from error
+
+
+def download(file: RemoteFile, target: Path, report: Callable[[int], None]) -> None:
+    """Download a file through gdown to `target`, unless it is there, and check its MD5 if that is published.
+
+    gdown continues partial files and tries again after a cut connection; pooch begins each file anew.
+    report: called with the number of bytes that are there. Raises GetError, OSError; BadFileError, with both sums, if
+    the content is not what was published: it is discarded then.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    has_sum = file.identity.startswith("md5:")
+    if not target.is_file():
+        agent = AGENT if has_sum else None  # Google answers only browsers, as which gdown poses
+        try:
+            gdown.download(
+                url=file.address, output=str(target), quiet=True, use_cookies=False, resume=True, timeout=TIMEOUT,
+                retries=RETRIES, user_agent=agent, progress=lambda there, _: report(there),
+            )  # fmt: skip
+        except FAILURES as error:
+            raise GetError(
+                f"{file.path} cannot be fetched: {_reason(error)}; the same command resumes it, --force begins anew"
+            ) from error
+    if has_sum:
+        with target.open("rb") as content:
+            digest = f"md5:{hashlib.file_digest(content, 'md5').hexdigest()}"
+        if digest != file.identity:
+            target.unlink()
+            raise BadFileError(
+                f"{file.path} is damaged and was removed: its {digest}, published is {file.identity}; run it again"
+            )
+
+
+def _reason(error: Exception) -> str:
+    """Return why a request failed, in one line: the system's words where requests quotes them."""
+    said = re.search(r"\[Errno -?[0-9]+\] ([^'\")]+)", str(error))
+    return shortened(said[1] if said else " ".join(str(error).split()))
