@@ -16,6 +16,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from tdgbench.bench import cameras
+from tdgbench.bench.assumed import state_assumptions, state_values
 from tdgbench.bench.backend_check.choose import auto, training_backend
 from tdgbench.bench.environment import SAME_BYTES, code_version
 from tdgbench.bench.ground_truth import truth_hashes
@@ -146,6 +147,8 @@ class CellRun(SetupObserver):
         span, is_gray = ready.scored.temperature, ready.scored.channels == 1
         self.record.temperature_range = None if span is None or not is_gray else [span.min, span.max]
         self._warn_if_slow(ready.trainer)
+        for note in ready.trainer.method.notes:
+            self.progress.say(note)
         with self.phase("train"):
             checkpoint = self._open_checkpoint()
             if cell.method.trains:
@@ -245,6 +248,7 @@ class CellRun(SetupObserver):
         """Put facts about the scene, its metrics and its backend into the record."""
         record = self.record
         record.split, record.convention, record.notes = scene.split, scorer.convention, list(scene.notes)
+        state_assumptions(record, scene)
         record.channels = scene.channels  # type: ignore[assignment]
         record.views = {"train": len(scene.train), "test": len(scene.test)}
         if self.cfg.backend.name == "auto" and auto().line:
@@ -254,8 +258,9 @@ class CellRun(SetupObserver):
         """Put facts about the finished training into the record."""
         record, trainer, scene, log = self.record, trained.trainer, trained.scene, trained.log
         record.masked = {"train": masked_share(scene.train), "test": masked_share(scene.test)}
+        state_values(record, scene)
         record.resumed = log.resumed
-        record.notes += trained.checkpoint.notes
+        record.notes += [*trained.checkpoint.notes, *trainer.method.notes]
         record.parts = cast(dict[str, PartReport], trainer.reports())
         if record.made_elsewhere is not None:
             record.seconds.pop("train")

@@ -23,9 +23,13 @@ READ_PHASE = "read"  # of the failure that stands for a record that cannot be re
 LARGEST = 2**63 - 1
 LARGEST_SCORE = 1e12  # of any metric and unit
 MOST_SHOWN = 60  # characters of a wrong value
+MOST_ASSUMED, MOST_DOUBTS, MOST_STATED = 32, 64, 1000  # keys, doubts, characters of each
+VALUES, PALETTE = "values", "palette"  # key of `assumed`, and how its text begins where images are pseudo-colour
 
 Status = Literal["ok", "failed"]
 Text = Annotated[str, Field(min_length=1)]
+Name = Annotated[str, Field(min_length=1, max_length=MOST_SHOWN)]
+Statement = Annotated[str, Field(min_length=1, max_length=MOST_STATED)]
 Integer = Annotated[int, Field(ge=-LARGEST, le=LARGEST)]
 Count = Annotated[int, Field(ge=0, le=10**12)]
 Positive = Annotated[int, Field(ge=1, le=10**12)]
@@ -125,6 +129,9 @@ class Record:
     backend: str = ""
     skips: list[SkipRecord] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    # how the scene's files were read where they could be read otherwise; records of earlier versions do not say it
+    assumed: Annotated[dict[Name, Statement], Field(max_length=MOST_ASSUMED)] = field(default_factory=dict)
+    doubts: Annotated[list[Statement], Field(max_length=MOST_DOUBTS)] = field(default_factory=list)
     hashes: dict[str, Sha256] = field(default_factory=dict)
     truth: dict[str, Sha256] = field(default_factory=dict)  # of each test view's ground truth as scored; `truth_hash`
     environment: dict[str, Any] = field(default_factory=dict)
@@ -148,6 +155,22 @@ class Record:
     def gaussians(self) -> dict[str, int]:
         """Number of Gaussians of each part that has them."""
         return {name: report["gaussians"] for name, report in self.parts.items() if "gaussians" in report}
+
+    @property
+    def in_palette(self) -> bool:
+        """Whether the thermal images are pseudo-colour, so that scores compare colours of a palette.
+
+        A record of an earlier version tells by its channels, unless three of them were asked for, as for gray images.
+
+        >>> place = ("tdg", "paper", "Truck", "colmap", 0, "table1", "")
+        >>> Record(*place, channels=3).in_palette, Record(*place, channels=3, assumed={"values": "gray"}).in_palette
+        (True, False)
+        """
+        if self.assumed:
+            return self.assumed.get(VALUES, "").startswith(PALETTE)
+        skips, channels = self.setting("skip"), self.setting("dataset.options.channels")
+        skips = skips if isinstance(skips, dict) else {}
+        return self.channels == 3 and channels != 3 and skips.get("gray", skips.get("otherwise", True)) is not False
 
     def setting(self, name: str) -> Any:
         """Return the value of a setting by its dotted name; None if the record has none.

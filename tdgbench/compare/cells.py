@@ -19,13 +19,14 @@ import pandas as pd
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import MEASURES, as_text
+from tdgbench.tables.palette import COLUMN, image_values
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED, judge_score, load_margins, seeds_interval
 
 IDENTICAL, EQUIVALENT = "identical", "equivalent"
 PLACE = ["dataset", "scene", "method", "init", "variant"]
 COLUMNS = [
     *PLACE, "metric", "seeds", "a", "b", "difference", "ci90_low", "ci90_high", "margin", "verdict", "repeat_std",
-    "seed_std",
+    "seed_std", COLUMN,
 ]  # fmt: skip
 
 Place = tuple[str, ...]  # values of PLACE
@@ -74,20 +75,22 @@ def score_table(pairs: Pairs, are_repeats: bool) -> pd.DataFrame:
     if every pair has equal numbers; else of the interval against the metric's margin, as for published numbers:
     `equivalent`, `better` or `worse` (B than A), `undecided`; empty without a margin. repeat_std: of one training run
     again, from the differences of equal seeds; NaN where they are no repeats. seed_std: over the seeds, mean of both.
+    image_values: whether the images of either are in a palette.
     """
     rows = []
     for place, by_seed in pairs.by_place.items():
+        values_of_images = image_values(cell.record for pair in by_seed.values() for cell in pair)
         for metric in MEASURES:
             values = np.array(
                 [[metric_value(cell.record, metric)[0] for cell in pair] for pair in by_seed.values()], dtype=float
             )
             if not np.isnan(values).any():
-                rows.append([*place, metric, *_compared(metric, values, are_repeats)])
+                rows.append([*place, metric, *_compared(metric, values, are_repeats), values_of_images])
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def _compared(metric: str, values: np.ndarray, are_repeats: bool) -> list[object]:
-    """Return the columns after `metric`. values: (seeds, 2), of A and B."""
+    """Return the columns from `seeds` to `seed_std`. values: (seeds, 2), of A and B."""
     seeds, differences = len(values), values[:, 1] - values[:, 0]
     mean, margin = float(differences.mean()), load_margins().get(metric, np.nan)
     std = float(differences.std(ddof=1)) if seeds > 1 else np.nan

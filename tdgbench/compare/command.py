@@ -25,8 +25,10 @@ from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
 from tdgbench.scoring import METRICS
 from tdgbench.tables.as_csv import as_csv
+from tdgbench.tables.assumptions import UNSTATED, Apart, assumed_apart
 from tdgbench.tables.cell import Cell, finished_cells
 from tdgbench.tables.measures import COLUMNS, GAUSSIANS, MEASURES, as_text
+from tdgbench.tables.palette import COLUMN, MARK, palette_notes
 from tdgbench.tables.records import read_results
 from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.terminal import console, say
@@ -59,16 +61,21 @@ def _compare(a: Path, b: Path, out: Path | None) -> int:
         raise ValueError(
             f"{a} and {b} share no finished cell: none has the same method, scene, initial points and seed"
         )
-    causes = find_causes(pairs)
+    causes, otherwise = find_causes(pairs), assumed_apart((pair.a.record, pair.b.record) for pair in pairs)
     table = score_table(pairs, are_repeats=all(cause.kind == MACHINE for cause in causes))
-    findings = sentences(table, causes, pairs)
+    findings = [*read_otherwise(otherwise), *sentences(table, causes, pairs)]
+    for one in otherwise[:MOST_CAUSES]:
+        say(one_line(one.sentence), "assumed:", "bold")
+    if len(otherwise) > MOST_CAUSES:
+        say(f"{len(otherwise) - MOST_CAUSES} more that differ, which --out writes", "assumed:", "bold")
     _show(table, causes, len(pairs))
     for sentence in findings:
         say(sentence, "found:", "bold")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_text(out / "compare.csv", as_csv(table, na_rep="n/a"))
-        write_page(out / "compare.html", (a.resolve().name, b.resolve().name), findings, table, causes, pairs)
+        names = a.resolve().name, b.resolve().name
+        write_page(out / "compare.html", names, findings, table, causes, pairs, otherwise)
         say(f"{out / 'compare.csv'}, {out / 'compare.html'}")
     apart = table["verdict"].isin(["better", "worse"]).any()
     return int(apart or any(cause.kind == PROTOCOL for cause in causes))
@@ -83,6 +90,16 @@ def _cells(experiment: Path) -> list[Cell]:
     if not cells:
         raise ValueError(f"{experiment} holds no finished cell")
     return cells
+
+
+def read_otherwise(differences: Sequence[Apart]) -> list[str]:
+    """Return the finding that the two read their files in other ways, and in which; empty if they did not."""
+    names = dict.fromkeys(one.name for one in differences if UNSTATED not in (one.a, one.b))
+    scenes = len({one.scene for one in differences if one.name in names})
+    if not names:
+        return []
+    where = f"{scenes} scene{'s' if scenes > 1 else ''}"
+    return [f"assumed differently, in {where}: {one_line(', '.join(names))}; their numbers may be of other images"]
 
 
 def sentences(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> list[str]:
@@ -110,11 +127,15 @@ def sentences(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> lis
 def _show(table: pd.DataFrame, causes: Sequence[Cause], pairs: int) -> None:
     """Print the scores that tables print, and what differs."""
     shown = Table("scene", "method", "score", *NUMBERS.values(), "verdict")
-    for row in table[table["metric"].isin([*COLUMNS, GAUSSIANS.name])].to_dict("records"):
+    printed = table[table["metric"].isin([*COLUMNS, GAUSSIANS.name])]
+    for row in printed.to_dict("records"):
+        scene = f"{row['scene']} {MARK}" if row[COLUMN] else row["scene"]
         method = ", ".join(filter(None, (row["method"], row["init"], row["variant"])))
-        named = (Text(one_line(row["scene"])), Text(one_line(method)), MEASURES[row["metric"]].label)
+        named = (Text(one_line(scene)), Text(one_line(method)), MEASURES[row["metric"]].label)
         shown.add_row(*named, *numbers_as_text(row).values(), row["verdict"])
     console().print(shown)
+    for note in palette_notes(printed.drop(columns="method")):
+        say(one_line(note))
     for kind, meaning in KINDS.items():
         some = [cause for cause in causes if cause.kind == kind]
         for cause in some[:MOST_CAUSES]:

@@ -10,13 +10,16 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.bench.colours import colored, in_colour
+from tdgbench.bench.record import Record
 from tdgbench.bench.renders import stored_view
 from tdgbench.compare.causes import KINDS, Cause
 from tdgbench.compare.cells import NUMBERS, PLACE, Pair, Pairs, numbers_as_text
 from tdgbench.files import write_text
 from tdgbench.report.page import environment
 from tdgbench.report.views import ERROR, ERROR_RANGE, embedded
+from tdgbench.tables.assumptions import Apart, assumed_rows
 from tdgbench.tables.measures import MEASURES
+from tdgbench.tables.palette import COLUMN, MARK, palette_notes
 
 MOST_PICTURES = 24  # of cells, so that a page stays some megabytes
 
@@ -28,13 +31,16 @@ def write_page(
     table: pd.DataFrame,
     causes: Sequence[Cause],
     pairs: Pairs,
+    otherwise: Sequence[Apart],
 ) -> None:
-    """Write the page. names: of A and B. table: from `score_table`."""
+    """Write the page. names: of A and B. table: from `score_table`. otherwise: what was assumed in another way."""
     shown = [(place, min(seeds.items())) for place, seeds in pairs.by_place.items()]
     html = environment("tdgbench.compare").get_template("page.html.j2").render(
         a=names[0], b=names[1], findings=findings,
         causes=[(kind, meaning, [cause.sentence(len(pairs)) for cause in causes if cause.kind == kind])
                 for kind, meaning in KINDS.items()],
+        otherwise=[one.sentence for one in otherwise], assumed=_assumed(pairs),
+        notes=palette_notes(table.drop(columns="method")),
         heads=[*PLACE, "score", "seeds", *NUMBERS.values(), "verdict"], words=len(PLACE) + 1,
         rows=[_row(row) for row in table.to_dict("records")],
         pictures=[picture(", ".join(filter(None, place)) + f", seed {seed}", pair)
@@ -43,14 +49,26 @@ def write_page(
     write_text(path, html)
 
 
+def _assumed(pairs: Pairs) -> dict[str, list[tuple[str, str]]]:
+    """Return what was assumed of the files of each scene, by its name: once where A and B agree."""
+    scenes: dict[str, list[tuple[str, Record]]] = {}
+    for pair in pairs:
+        place = f"{pair.a.record.dataset}/{pair.a.record.scene}"
+        scenes.setdefault(place, []).extend((("A", pair.a.record), ("B", pair.b.record)))
+    return {scene: assumed_rows(cells) for scene, cells in scenes.items()}
+
+
 def _row(row: dict[Any, Any]) -> list[tuple[str, object]]:
     """Return (text, what it is sorted by) of each column."""
     described = MEASURES[row["metric"]]
     name = described.label + (f", {described.images}" if described.images else "")
     texts = numbers_as_text(row)
     values = [row["ci90_low"] if number == "interval" else row[number] for number in NUMBERS]
+    places = {part: row[part] for part in PLACE}
+    if row[COLUMN]:
+        places["scene"] += f" {MARK}"
     return [
-        *((row[part], row[part]) for part in PLACE), (name, name), (str(row["seeds"]), row["seeds"]),
+        *((text, row[part]) for part, text in places.items()), (name, name), (str(row["seeds"]), row["seeds"]),
         *((text, "" if np.isnan(value) else value) for text, value in zip(texts.values(), values, strict=True)),
         (row["verdict"], row["verdict"]),
     ]  # fmt: skip

@@ -12,8 +12,10 @@ from tdgbench.files import write_text
 from tdgbench.report.scene import scene_section
 from tdgbench.report.scores import depth_priors, further_scores, legend, main_scores, published_section
 from tdgbench.report.strip import place_name
+from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
 from tdgbench.tables.cell import Cell, finished_cells
+from tdgbench.tables.palette import palette_notes
 from tdgbench.tables.readings import changes_as_text
 from tdgbench.terminal import printable
 
@@ -31,12 +33,14 @@ def write_report(experiment: Path, tables: Tables) -> Path:
     html = template.render(
         name=experiment.resolve().name,
         findings=tables.findings,
+        doubts=doubts_of(records),
         table=main_scores(tables),
         further=further_scores(tables),
         priors=depth_priors(records),
         legend=legend(tables),
         published=published_section(tables),
         changes=None if tables.effects is None else changes_as_text(tables.effects),
+        changes_notes=[] if tables.effects is None else palette_notes(tables.effects),
         scenes=[scene_section(place[0], place_name(place, scenes), group) for place, group in scenes.items()],
         skips=[{"title": cell.record.title, "skips": map(_skipped, cell.record.skips)} for cell in cells],
         failures=[(r.title, r.failure.phase, r.failure.error) for r in records if r.failure is not None],

@@ -15,6 +15,7 @@ from tdgbench.report import views
 from tdgbench.report.figures import any_font, plain
 from tdgbench.scoring.metrics.barely_seen import is_barely_seen
 from tdgbench.tables import methods
+from tdgbench.tables.assumptions import assumed_rows
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import MEASURES
@@ -38,6 +39,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
         "scene": name,
         "view": view or "n/a",
         "methods": shown,
+        "assumed": assumed_rows([(methods.label(cell.label), cell.record) for cell in cells]),
         "masked": masks.masked_in_words(record.masked),
         "temperature": None if record.temperature_range is None else [f"{t:g}" for t in record.temperature_range],
         "ramp": views.embedded(colours.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), colours.THERMAL, 0, 1)),

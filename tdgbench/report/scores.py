@@ -15,6 +15,7 @@ from tdgbench.tables.build import ABLATION_KEYS, Tables
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.long_table import initial_points, protocol_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, OVERALL, PUBLISHED, as_text, digits
+from tdgbench.tables.palette import palette_notes, with_mark
 from tdgbench.tables.verdicts import UNDECIDED, comparable, load_margins, verdicts_in_words
 
 SOURCES = {  # of depth priors, in words
@@ -28,7 +29,7 @@ def main_scores(tables: Tables) -> dict[str, Any]:
     if tables.kind == "ablation":
         return _ablation(tables)
     found = _by_scene(tables, list(COLUMNS), _published(tables, ["method", "dataset", "scene", "metric"]))
-    return {**found, "notes": protocol_notes(tables.main)}
+    return {**found, "notes": [*protocol_notes(tables.main), *palette_notes(tables.main)]}
 
 
 def further_scores(tables: Tables) -> dict[str, Any] | None:
@@ -37,7 +38,7 @@ def further_scores(tables: Tables) -> dict[str, Any] | None:
         return None
     known = set(tables.main.loc[tables.main["value"].notna(), "metric"])
     metrics = [metric for metric in EXTRA if metric in known]
-    return {**_by_scene(tables, metrics, {}), "notes": []} if metrics else None
+    return {**_by_scene(tables, metrics, {}), "notes": palette_notes(tables.main)} if metrics else None
 
 
 def depth_priors(records: Sequence[Record]) -> list[str]:
@@ -106,10 +107,11 @@ def _by_scene(tables: Tables, metrics: list[str], published: dict[tuple[Any, ...
     values = {(r.method, r.dataset, r.scene, r.metric): r for r in tables.main.itertuples()}
     rows = []
     for (dataset, scene), group in tables.main.groupby(["dataset", "scene"], sort=False):
-        for method in group["method"].unique():
+        for method, of_method in group.groupby("method", sort=False):
             keys = [(method, dataset, scene, metric) for metric in metrics]
             cells = [_number(values[key], published.get(key)) for key in keys]
-            head, key = [dataset, scene, methods.label(method)], (dataset, scene, method)
+            head = [dataset, with_mark(str(scene), of_method), methods.label(str(method))]
+            key = (dataset, scene, method)
             rows.append({"head": head, "key": key, "cells": cells})
     return {"heads": ["data set", "scene", "method"], "metrics": [MEASURES[m].title for m in metrics], "rows": rows}
 
@@ -119,9 +121,9 @@ def _ablation(tables: Tables) -> dict[str, Any]:
     for (method, init), group in tables.main.assign(scene=OVERALL).groupby(["method", "init"], sort=False):
         by_metric = {row.metric: row for row in group.itertuples()}
         cells = [_number(by_metric[m], published.get((method, init, m))) for m in ABLATION]
-        rows.append({"head": [methods.label(str(method)), init], "cells": cells})
+        rows.append({"head": [with_mark(methods.label(str(method)), group), init], "cells": cells})
     titles = [MEASURES[m].title for m in ABLATION]
-    notes = initial_points(tables.main)
+    notes = [*initial_points(tables.main), *palette_notes(tables.main)]
     return {"heads": ["method", "initial points"], "metrics": titles, "rows": rows, "notes": notes}
 
 

@@ -20,6 +20,11 @@ PUBLISHED_AT = {
     "rgbt_scenes": "the ThermalGaussian project page (Lu et al. 2024), data set RGBT-Scenes",
     "thermalmix": "Zenodo record 11065834 (Özer et al. 2024), data set ThermalMix",
 }
+FLIR_E6_PRO = (  # of the ten scenes of RGBT-Scenes; what its extension (GlassCup, DarkScenes) was taken with is unknown
+    "240×180 px (FLIR E6 PRO); shown images as shipped are enlarged to 640×480 px by FLIR Thermal Studio, say their "
+    "authors (github.com/chen-hangyu/Thermal-Gaussian-main, issue 5)"
+)
+SENSORS = dict.fromkeys(("Dimsum", "DailyStuff", "Ebike", "RoadBlock", "Truck", "RotaryKiln", "Parterre"), FLIR_E6_PRO)
 
 
 @dataclass(frozen=True)
@@ -79,6 +84,18 @@ SCENES = tuple(
         ("Face", "thermalmix", "forward", "Face", ("Faces",)),
     ]
 )
+
+
+def sensor_of(dataset: str, scene: str) -> dict[str, str]:
+    """Return what is known of the sensor that took a scene's thermal images, for `Scene.assumed`; empty if nothing is.
+
+    dataset: its title. scene: its name.
+
+    >>> sensor_of("RGBT-Scenes", "Truck")["sensor"][:24], sensor_of("mine", "Truck")
+    ('240×180 px (FLIR E6 PRO)', {})
+    """
+    known = dataset == DATASETS["rgbt_scenes"] and scene in SENSORS
+    return {"sensor": SENSORS[scene]} if known else {}
 
 
 def registered(name: str) -> RegisteredScene:

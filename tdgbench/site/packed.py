@@ -24,6 +24,7 @@ from tdgbench.tables.build import Tables, build_tables
 from tdgbench.tables.cell import Cell, finished_cells
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import AVERAGE, COLUMNS, HOURS, OVERALL, as_text
+from tdgbench.tables.palette import image_values
 
 AVERAGES = (AVERAGE, OVERALL)
 
@@ -79,6 +80,11 @@ class Row:
     @property
     def is_average(self) -> bool:
         return self.scene in AVERAGES
+
+    @property
+    def image_values(self) -> str:
+        """Whether its images are in a palette, in words."""
+        return image_values(self.records)
 
     @property
     def seeds(self) -> int:

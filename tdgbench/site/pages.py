@@ -20,10 +20,12 @@ from tdgbench.site.packed import Pack, Row, method_page, rows_of, scene_page
 from tdgbench.site.pictures import cards_of, files_of_cards
 from tdgbench.site.plot import plot
 from tdgbench.tables import methods
+from tdgbench.tables.assumptions import assumed_rows, doubts_of
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims import check_all, load_claims
 from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
 from tdgbench.tables.measures import COLUMNS, MEASURES
+from tdgbench.tables.palette import IN_SOME, MARK, WORDS
 from tdgbench.tables.published import published_ablation, published_main
 
 HEADS = [MEASURES[name].title for name in COLUMNS]
@@ -62,6 +64,7 @@ class _Site:
             scene_page=scene_page,
             method_page=method_page,
             shown=SHOWN,
+            mark=MARK,
             psnr=MEASURES["psnr"],
         )
 
@@ -84,7 +87,8 @@ class _Site:
         for pack in self.packs:
             files[pack.page] = self._page(
                 "pack.html.j2", "../", pack=pack, environments=environments(pack.tables.records),
-                notes=_notes(pack.cells), failures=[r for r in pack.tables.records if r.failure is not None],
+                notes=_notes(pack.cells), doubts=doubts_of(cell.record for cell in pack.cells),
+                failures=[r for r in pack.tables.records if r.failure is not None],
                 boards=boards_of([row for row in self.rows if row.pack is pack]),
             )  # fmt: skip
         return files
@@ -94,7 +98,10 @@ class _Site:
         sections = cards_of(self.packs, dataset, scene)
         files = files_of_cards([card for section in sections for card in section])
         rows = [row for row in self.rows if (row.dataset, row.scene) == (dataset, scene)]
+        cells = [(f"{pack.name}, {cell.label}", cell.record) for pack in self.packs for cell in pack.cells
+                 if cell.dataset_and_scene == (dataset, scene)]  # fmt: skip
         page = self._page("scene.html.j2", "../../", dataset=dataset, scene=scene, sections=sections,
+                          assumed=assumed_rows(cells), doubts=doubts_of(record for _, record in cells),
                           boards=boards_of(rows), error_range=ERROR_RANGE)  # fmt: skip
         return {scene_page(dataset, scene): page, **files}
 
@@ -119,9 +126,16 @@ def boards_of(rows: Iterable[Row]) -> list[dict[str, Any]]:
         settings = {name: json.dumps(value) for name, value in group[0].settings.items()}
         boards.append({
             "dataset": dataset, "protocol": protocol, "rows": group, "settings": settings,
-            "plot": plot(averages or group), "mixed": mixed_scenes(group),
+            "plot": plot(averages or group), "mixed": mixed_scenes(group), "palette": palette_in_words(group),
         })  # fmt: skip
     return boards
+
+
+def palette_in_words(rows: Iterable[Row]) -> str:
+    """Return what the mark of rows says; empty if no row has one."""
+    found = {row.image_values for row in rows} - {""}
+    partly = "; some means with it are over other scenes as well" if IN_SOME in found else ""
+    return f"{MARK} {WORDS}{partly}" if found else ""
 
 
 def mixed_scenes(rows: Iterable[Row]) -> list[str]:

@@ -54,12 +54,14 @@ def with_other_papers(differences: pd.DataFrame) -> pd.DataFrame:
 
 def against_others(main: pd.DataFrame) -> pd.DataFrame:
     """Return other papers' numbers of our methods beside ours: source, PLACE, printed_as, selected_on, published, ours,
-    std, seeds, difference (ours − published). Averages are left out: papers average over different scenes.
+    std, seeds, image_values (of ours), difference (ours − published).
+
+    Averages are left out: papers average over different scenes.
     """
     others = published_elsewhere().rename(columns={"value": "published"}).drop(columns="group")
     sources = load_sources()
     others["selected_on"] = [sources[name]["selected_on"] for name in others["source"]]
-    ours = main[[*PLACE, "value", "std", "seeds"]].rename(columns={"value": "ours"})
+    ours = main[[*PLACE, "value", "std", "seeds", "image_values"]].rename(columns={"value": "ours"})
     merged = others[others["scene"] != AVERAGE].merge(ours, on=PLACE)
     return merged.assign(difference=merged["ours"] - merged["published"])
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -20,8 +21,9 @@ from tdgbench.tables.as_csv import to_csv
 from tdgbench.tables.between_papers import against_others, between_papers, with_other_papers
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.latex import ablation_table, main_table
-from tdgbench.tables.long_table import scene_rows, with_averages, with_bold, with_protocols
+from tdgbench.tables.long_table import method_label, scene_rows, with_averages, with_bold, with_protocols
 from tdgbench.tables.measures import ABLATION, AVERAGE, KEYS, OVERALL
+from tdgbench.tables.palette import COLUMN, with_image_values
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
 from tdgbench.tables.records import Results, read_results
@@ -70,6 +72,7 @@ def _main(results: Results, experiment: Path) -> Tables:
     main = bold.merge(over_seeds(records, plan), on=KEYS, how="left")
     main["seeds"] = main["seeds"].fillna(0).astype(int)
     main = with_protocols(main.merge(intervals(records, experiment), on=KEYS, how="left"), records)
+    main = with_image_values(main, records, partial(method_label, with_init=True))
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None
     pairs = [pair for pair in methods.pairs() if {*pair} <= {*main["method"]}]
@@ -80,7 +83,8 @@ def _main(results: Results, experiment: Path) -> Tables:
         kind=plan.table, main=main, latex=main_table(main), difference=against, folder=experiment / "tables",
         records=records, findings=findings_of_methods(main, against, comparisons, changes), problems=results.problems,
         comparisons=comparisons, papers=None if against is None else between_papers(),
-        readings=None if cells is None else readings(cells), effects=changes,
+        readings=None if cells is None else with_image_values(readings(cells), records),
+        effects=None if changes is None else with_image_values(changes, records),
     )  # fmt: skip
 
 
@@ -135,8 +139,9 @@ def difference(ours: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> 
 
 
 def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """Return the differences with our std and seeds, the fields of each ScoreVerdict, and other papers' numbers."""
-    merged = differences.merge(main[[*keys, "std", "seeds"]], on=keys, how="left")
+    """Return the differences with our std, seeds and image_values, fields of ScoreVerdict, other papers' numbers."""
+    merged = differences.merge(main[[*keys, "std", "seeds", COLUMN]], on=keys, how="left")
+    of_images = merged.pop(COLUMN).fillna("")
     merged["seeds"] = merged["seeds"].fillna(0).astype(int)
     judged = [
         verdict(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
@@ -144,7 +149,7 @@ def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]
     ]
     verdicts = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index)
     verdicts = verdicts[["margin", "ci90_low", "ci90_high", "verdict", "seeds_needed", "undecided_because"]]
-    return with_other_papers(pd.concat([merged, verdicts], axis=1))
+    return with_other_papers(pd.concat([merged, verdicts], axis=1)).assign(**{COLUMN: of_images})
 
 
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
@@ -167,7 +172,8 @@ def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
     table = table.sort_values("method", key=lambda c: c.map(order), kind="stable").reset_index(drop=True)
     groups = table.groupby(["method", "metric"])["value"]
     table["bold"] = (table["value"] == groups.transform("max")) & (groups.transform("nunique") > 1)
-    return table[[*ABLATION_KEYS, "value", "bold", "points", "seeds", "std", "reason"]]
+    table = table[[*ABLATION_KEYS, "value", "bold", "points", "seeds", "std", "reason"]]
+    return with_image_values(table, records, partial(method_label, with_init=False))
 
 
 def ablation_as_published(inits: Iterable[str]) -> pd.DataFrame:

@@ -23,6 +23,7 @@ from tdgbench.tables.cell import finished_cells
 from tdgbench.tables.claims import check_all, load_claims
 from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
 from tdgbench.tables.findings import claims_in_words
+from tdgbench.tables.palette import COLUMN, image_values, palette_notes
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.records import read_results
 from tdgbench.tables.sensitivity import Weights, sensitivity
@@ -68,11 +69,14 @@ def _weights(text: str) -> tuple[str, str]:
 
 def _sensitivity(experiment: Path, weights: Weights) -> int:
     results = read_results(experiment)
-    table = sensitivity(finished_cells(experiment, results.records), weights)
+    cells = finished_cells(experiment, results.records)
+    table = sensitivity(cells, weights).assign(**{COLUMN: image_values(cell.record for cell in cells)})
     (experiment / "tables").mkdir(exist_ok=True)
     write_text(experiment / "tables" / "sensitivity.csv", as_csv(table, na_rep="n/a"))
     show_problems(results.problems)
     show_sensitivity(table)
+    for note in palette_notes(table):
+        say(note)
     return int(bool(results.problems))
 
 

@@ -11,6 +11,7 @@ from tdgbench.scenes.registry import GROUPS, SCENES
 from tdgbench.tables import methods
 from tdgbench.tables.long_table import initial_points, protocol_notes
 from tdgbench.tables.measures import ABLATION_PAIRS, AVERAGE, MEASURES, OVERALL, PUBLISHED, digits
+from tdgbench.tables.palette import COLUMN, MARK, is_marked, palette_notes
 from tdgbench.text import one_line
 
 LABELS = {scene.name: scene.label for scene in SCENES}
@@ -22,6 +23,7 @@ ESCAPES = {
 }  # fmt: skip
 KNOWN_TO_PDFLATEX = range(0xC0, 0x100)  # accented letters of Latin-1, but for those that need another font encoding
 NEED_T1 = "ÐÞðþ÷"
+LATEX_MARK = r"$^\dagger$"
 
 
 def escape(text: str) -> str:
@@ -43,8 +45,12 @@ def _escaped(c: str) -> str:
     return " " if c.isspace() else rf"\texttt{{U+{ord(c):04X}}}"
 
 
-def tabular(columns: str, heads: Sequence[str], body: Sequence[str], notes: Sequence[str] = ()) -> str:
+def tabular(
+    columns: str, heads: Sequence[str], body: Sequence[str], notes: Sequence[str] = (), below: Sequence[str] = ()
+) -> str:
     r"""Return a `tabular`, which needs the package booktabs. heads, body: lines. notes: comments before it.
+
+    below: notes on MARK, printed below the table.
 
     >>> print(tabular("lr", ["& PSNR \\\\"], [r"\midrule", "a & 24.1 \\\\"]), end="")
     \begin{tabular}{lr}
@@ -56,8 +62,10 @@ def tabular(columns: str, heads: Sequence[str], body: Sequence[str], notes: Sequ
     \end{tabular}
     """
     begin = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
-    lines = [*(f"% {one_line(note)}" for note in notes), *begin, *heads, *body, r"\bottomrule", r"\end{tabular}", ""]
-    return "\n".join(lines)
+    marks = [rf"\multicolumn{{{len(columns)}}}{{l}}{{\footnotesize {LATEX_MARK}{escape(note.removeprefix(MARK))}}} \\"
+             for note in below]  # fmt: skip
+    notes = [f"% {one_line(note)}" for note in notes]
+    return "\n".join([*notes, *begin, *heads, *body, r"\bottomrule", *marks, r"\end{tabular}", ""])
 
 
 def main_table(rows: pd.DataFrame) -> str:
@@ -68,9 +76,12 @@ def main_table(rows: pd.DataFrame) -> str:
         for r in rows.itertuples()
     }
 
+    marked = {(r.dataset, r.scene) for r in rows.itertuples() if getattr(r, COLUMN, "")}
+
     def line(label: str, dataset: str, scene: str) -> str:
         values = [cells[m, dataset, scene, metric] for m in columns for metric in PUBLISHED]
-        return f"{label} & {' & '.join(values)} \\\\"
+        mark = LATEX_MARK if (dataset, scene) in marked else ""
+        return f"{label}{mark} & {' & '.join(values)} \\\\"
 
     width, per_method = 1 + len(columns) * len(PUBLISHED), len(PUBLISHED)
     titles = [rf"\multicolumn{{{per_method}}}{{c}}{{{escape(methods.label(m))}}}" for m in columns]
@@ -93,7 +104,7 @@ def main_table(rows: pd.DataFrame) -> str:
         lines.append(line(r"\quad\textbf{Average}", str(dataset), AVERAGE))
     if (rows["scene"] == OVERALL).any():
         lines += [r"\midrule", line(r"\textbf{Average (Overall)}", "", OVERALL)]
-    return tabular("l" + "c" * (width - 1), heads, lines, protocol_notes(rows))
+    return tabular("l" + "c" * (width - 1), heads, lines, protocol_notes(rows), palette_notes(rows))
 
 
 def ablation_table(rows: pd.DataFrame) -> str:
@@ -112,9 +123,10 @@ def ablation_table(rows: pd.DataFrame) -> str:
             random = r"$\checkmark$" + (f" ({escape(kind)})" if several else "")
             marks = rf"{random} & $\times$" if str(init).startswith("random") else r"$\times$ & $\checkmark$"
             pairs = " & ".join(_pair(values, names) for names in ABLATION_PAIRS)
-            lines.append(f"{escape(methods.label(str(method)))} & {marks} & {pairs} \\\\")
+            mark = LATEX_MARK if is_marked(values) else ""
+            lines.append(f"{escape(methods.label(str(method)))}{mark} & {marks} & {pairs} \\\\")
     heads = [rf" & Random & COLMAP & {parts} \\"]
-    return tabular("lcc" + "c" * len(ABLATION_PAIRS), heads, lines, initial_points(rows))
+    return tabular("lcc" + "c" * len(ABLATION_PAIRS), heads, lines, initial_points(rows), palette_notes(rows))
 
 
 def _pair(values: pd.DataFrame, names: Sequence[str]) -> str:

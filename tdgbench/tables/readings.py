@@ -28,6 +28,7 @@ from tdgbench.tables.measures import (
     PUBLISHED_SCORES,
     digits,
 )
+from tdgbench.tables.palette import with_mark
 from tdgbench.tables.published import published_main
 from tdgbench.tables.statistics import mean_interval
 
@@ -199,7 +200,8 @@ def changes_as_text(changes: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
     shown = with_setup(widest_average(changes), "effect")
     for place, group in shown.groupby(["effect", "iterations", "scene"], sort=False):
         by_metric = {row.metric: row for row in group.itertuples()}
-        rows.append([*(str(part) for part in place), *(change_as_text(by_metric.get(m)) for m in COMPARED)])
+        named = [*map(str, place[:2]), with_mark(str(place[2]), group)]
+        rows.append([*named, *(change_as_text(by_metric.get(m)) for m in COMPARED)])
     return heads, rows
 
 

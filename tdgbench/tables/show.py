@@ -9,15 +9,18 @@ import pandas as pd
 from rich.table import Column, Table
 from rich.text import Text
 
+from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.long_table import initial_points, protocol_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, MEASURES, OVERALL, PUBLISHED, as_text
+from tdgbench.tables.palette import palette_notes, with_mark
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import verdicts_in_words
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
+MOST_DOUBTS = 12
 PROSE = 60  # characters of a column of sentences where there is no terminal, and so no width to share
 
 
@@ -53,8 +56,11 @@ def show_tables(tables: Tables) -> None:
         _show_main(tables)
         for note in protocol_notes(tables.main):
             say(one_line(note))
+    for note in palette_notes(tables.main):
+        say(one_line(note))
     _show_reasons(tables)
     show_problems(tables.problems)
+    show_doubts(doubts_of(tables.records))
     if tables.difference is not None:
         known = tables.difference["difference"].notna()
         counted = f"{int(known.sum())} of {len(known)} published numbers have one of ours beside them"
@@ -106,6 +112,14 @@ def show_problems(problems: list[str]) -> None:
         say(one_line(problem), "problem:")
 
 
+def show_doubts(doubts: list[str]) -> None:
+    """Print what is doubted of the scenes' cameras and points; the report has all of it."""
+    for doubt in doubts[:MOST_DOUBTS]:
+        say(one_line(doubt), "doubt:")
+    if len(doubts) > MOST_DOUBTS:
+        say(f"{len(doubts) - MOST_DOUBTS} more, which the report has", "doubt:")
+
+
 def _name(name: object) -> Text:
     """Return a name in a table: no markup, one line."""
     return Text(one_line(str(name)))
@@ -118,7 +132,7 @@ def _show_main(tables: Tables) -> None:
     for metric in COLUMNS:
         table.add_column(MEASURES[metric].column, justify="right")
     values = {(r.method, r.dataset, r.scene, r.metric): r for r in main.itertuples()}
-    for (dataset, scene), _ in main.groupby(["dataset", "scene"], sort=False):
+    for (dataset, scene), group in main.groupby(["dataset", "scene"], sort=False):
         for method in columns:
             cells = []
             for metric in COLUMNS:
@@ -127,7 +141,7 @@ def _show_main(tables: Tables) -> None:
                 if not np.isnan(row.std) and metric != HOURS.name:
                     text += f" ± {as_text(metric, row.std, scene)}"
                 cells.append(Text(text, "bold" if row.bold else ""))
-            title = scene if method == columns[0] else ""
+            title = with_mark(str(scene), group) if method == columns[0] else ""
             table.add_row(_name(title), _name(method), *cells, end_section=method == columns[-1])
     console().print(table)
 
@@ -138,7 +152,8 @@ def _show_ablation(tables: Tables) -> None:
     rows = []
     for names, group in tables.main.groupby(["method", "init"], sort=False):
         values = group.set_index("metric")["value"]
-        rows.append([*names, *("n/a" if np.isnan(values[m]) else as_text(m, values[m], OVERALL) for m in ABLATION)])
+        named = [with_mark(str(names[0]), group), names[1]]
+        rows.append([*named, *("n/a" if np.isnan(values[m]) else as_text(m, values[m], OVERALL) for m in ABLATION)])
     show_table(pd.DataFrame(rows, columns=["method", "initial points", *heads]))
     for origin in initial_points(tables.main):
         say(one_line(origin))
@@ -154,7 +169,8 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame) -> None:
         ["method", "iterations", "scene"], sort=False
     ):
         values = group.groupby("metric")["value"].mean()
-        rows.append([*names, *(as_text(m, values[m], str(names[2])) if m in values else "n/a" for m in SHOWN)])
+        named = [*names[:2], with_mark(str(names[2]), group)]
+        rows.append([*named, *(as_text(m, values[m], str(names[2])) if m in values else "n/a" for m in SHOWN)])
     heads = ["method", "iterations", "scene", *(MEASURES[m].column for m in SHOWN)]
     show_table(pd.DataFrame(rows, columns=heads))
     heads, rows = changes_as_text(effects)

@@ -16,6 +16,7 @@ from tdgbench.bench.scores import read_views
 from tdgbench.tables.long_table import method_label, scene_rows, with_averages
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OF_RECORDS, OVERALL, TRAINING, gain
 from tdgbench.tables.methods import MethodPair
+from tdgbench.tables.palette import COLUMN, values_over_scenes
 from tdgbench.tables.published import published_main
 
 REPLICATES = 1000
@@ -130,7 +131,10 @@ def speed_table(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
 
 
 def paired_tests(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
-    """Return metric, scenes, better, p of Wilcoxon's one-sided signed-rank test over scenes that a method is better."""
+    """Return metric, scenes, better, p, image_values of tests over scenes that a method is better.
+
+    p: of Wilcoxon's one-sided signed-rank test.
+    """
     single = main[~main["scene"].isin((AVERAGE, OVERALL))]
     rows = []
     for metric, group in single[~single["metric"].isin(TRAINING)].groupby("metric", sort=False):
@@ -144,5 +148,6 @@ def paired_tests(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
             from scipy.stats import wilcoxon  # takes half a second to import, and most runs do without
 
             p = float(wilcoxon(gains, alternative="greater").pvalue)
-        rows.append({"metric": metric, "scenes": len(gains), "better": int((gains > 0).sum()), "p": p})
-    return pd.DataFrame(rows, columns=["metric", "scenes", "better", "p"])
+        better, compared = int((gains > 0).sum()), group[group["method"].isin(pair) & group["value"].notna()]
+        rows.append([metric, len(gains), better, p, values_over_scenes(compared)])
+    return pd.DataFrame(rows, columns=["metric", "scenes", "better", "p", COLUMN])

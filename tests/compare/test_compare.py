@@ -15,6 +15,7 @@ from tdgbench.compare.cells import find_pairs, score_table
 from tdgbench.compare.command import main
 from tdgbench.tables.cell import finished_cells
 from tdgbench.tables.records import read_results
+from tests.helpers.html_page import HtmlPage
 from tests.helpers.records import record, write
 
 
@@ -100,6 +101,30 @@ def test_two_protocols_are_refused_and_said(tmp_path, capsys):
     a, b = two_experiments(tmp_path, [20.0], [20.0], split="every_8th")
     assert main([str(a), str(b)]) == 1
     assert "not follow one protocol" in capsys.readouterr().out
+
+
+def test_other_assumptions_come_before_the_numbers(tmp_path, capsys):
+    a, b = two_experiments(tmp_path, [20.0], [21.0], assumed={"size": "640×480 px, bilinear", "depth": "16 bits"})
+    for path in a.rglob("record.json"):
+        stated = '"assumed": {"depth": "16 bits", "size": "160×120 px"}'
+        path.write_text(path.read_text().replace('"assumed": {}', stated))
+    main([str(a), str(b), "--out", str(tmp_path / "out")])
+    said = capsys.readouterr().out
+    line = "RGBT-Scenes/Truck, size: 160×120 px → 640×480 px, bilinear"
+    assert said.index(f"assumed: {line}") < said.index("│ Truck") and "16 bits" not in said
+    assert "found: assumed differently, in 1 scene: size; " in said
+    page = HtmlPage((tmp_path / "out" / "compare.html").read_text())
+    assert {line, "160×120 px (A)", "640×480 px, bilinear (B)", "16 bits"} <= page.texts
+
+
+def test_images_in_a_palette_are_marked(tmp_path, capsys):
+    a, b = two_experiments(tmp_path, [20.0], [20.0], channels=3)
+    main([str(a), str(b), "--out", str(tmp_path / "out")])
+    assert "│ Truck † │" in (said := capsys.readouterr().out) and "\n† palette, not temperature\n" in said
+    assert "assumed" not in said
+    assert set(pd.read_csv(tmp_path / "out" / "compare.csv")["image_values"]) == {"palette, not temperature"}
+    page = HtmlPage((tmp_path / "out" / "compare.html").read_text())
+    assert "† palette, not temperature" in page.texts and page.tables[0][1][1] == "Truck †"
 
 
 def test_without_a_common_cell_the_folders_are_named(tmp_path, capsys):

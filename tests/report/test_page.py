@@ -69,7 +69,7 @@ def test_differences_to_published_numbers(tmp_path):
     assert text.count('id="papers"') == 1 and "tdg 24.06; thermosplat-2601 26.16" in text
     begin = text[text.index("</h1>") : text.index("<h2>")]
     assert re.findall("<li>(.*?)</li>", begin) == [str(escape(sentence)) for sentence in tables.findings]
-    assert len(tables.findings) == 4
+    assert len(tables.findings) == 4 and 'id="doubts"' not in text
 
 
 def test_an_ablation(tmp_path):
@@ -79,6 +79,18 @@ def test_an_ablation(tmp_path):
     text = write_report(tmp_path, tables).read_text()
     assert "PSNR of the training views, dB ↑" in text and "random: somewhere" in text
     assert text.count('class="note undecided"') == 8 and "40.00" in text
+
+
+def test_assumptions_and_doubts_are_on_the_page(tmp_path):
+    stated = {"assumed": {"size": "160×120 px", "values": "palette"}, "doubts": ["view007: <b>far</b> away"]}
+    write(tmp_path, "tdg", "orbit", "synthetic", **stated)
+    write(tmp_path, "msmg", "orbit", "synthetic", **{**stated, "assumed": {"size": "640×480 px", "values": "palette"}})
+    page = HtmlPage(text := write_report(tmp_path, build_tables(tmp_path)).read_text())
+    assert {"160×120 px (TDg)", "640×480 px (MSMG)", "palette"} <= page.texts and text.count("<dt>values</dt>") == 1
+    assert "doubts" in page.ids and text.index("view007") < text.index("<h2>Scores") and text.count("view007") == 1
+    assert "synthetic/orbit: view007: <b>far</b> away" in page.texts
+    scenes = [row[1] for table in page.tables if table[0][:2] == ["data set", "scene"] for row in table[1:]]
+    assert set(scenes) == {"orbit †", "Average †"} and text.count("† palette, not temperature") == 1
 
 
 HOSTILE = ("<script>alert(1)</script>", '"a" onload="x', "a\x1b[2Jb", "\u202eevil", "{{ 1 }}", "=1+1")
@@ -96,7 +108,8 @@ def page_of(experiment, names) -> str:
     """The page of cells without files, finished and failed, whose scenes, methods and errors have these names."""
     for seed, name in enumerate(names, start=1):
         failure = Failure("train", f"failed: {name}", "")
-        write(experiment, method=name, scene=name, dataset="synthetic", group=name, split="folder")
+        write(experiment, method=name, scene=name, dataset="synthetic", group=name, split="folder",
+              assumed={name: name}, doubts=[name])  # fmt: skip
         write(experiment, scene="orbit", dataset="synthetic", seed=seed, status="failed", failure=failure)
     return write_report(experiment, build_tables(experiment)).read_text(encoding="utf-8")
 

@@ -115,7 +115,7 @@ def test_latex_compiles(tmp_path, kind):
     if shutil.which("pdflatex") is None:
         pytest.skip("pdflatex is not installed")
     published_as_records(tmp_path)
-    write(tmp_path, scene="odd_name & co", dataset="synthetic", variant="a.b_c=1")
+    write(tmp_path, scene="odd_name & co", dataset="synthetic", variant="a.b_c=1", channels=3)
     Plan(kind).write(tmp_path)
     build_tables(tmp_path)
     (tmp_path / "page.tex").write_text(

@@ -48,7 +48,7 @@ class CubeAroundCameras(RandomPoints):
         self.where = f"a cube of half side {half_side:g} × extent around the mean training camera, with random colours"
 
     def box(self, scene: Scene) -> np.ndarray:
-        center = np.mean([view.camera.center for view in scene.train], axis=0)
+        center = scene.centers.mean(axis=0)
         half = self.half_side * scene.extent
         return np.stack([center - half, center + half])
 

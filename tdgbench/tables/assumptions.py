@@ -1,0 +1,84 @@
+"""What records state of their scenes' files: how they were read where they could be read otherwise, and doubts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+from tdgbench.bench.record import Record
+from tdgbench.text import MOST_NAMED, first_few
+
+UNSTATED = "not stated"
+DOUBTS = "doubts"
+
+
+def assumed_rows(cells: Sequence[tuple[str, Record]]) -> list[tuple[str, str]]:
+    """Return (name, text) of what the cells of a scene assume: once where all agree, else a row for each text.
+
+    cells: with names for the rows that not all share. Cells that state nothing, as those of earlier versions, have a
+    row of their own.
+
+    >>> a, b = (Record("tdg", "", "a", "", 0, "", "", assumed={"depth": "8 bits", "size": size}) for size in "xy")
+    >>> assumed_rows([("A", a), ("B", b)])
+    [('depth', '8 bits'), ('size', 'x (A)'), ('size', 'y (B)')]
+    """
+    stating = [(name, record.assumed) for name, record in cells if record.assumed]
+    silent = [name for name, record in cells if not record.assumed]
+    rows = [(f"{UNSTATED} by", _some(silent))] if silent else []
+    for key in dict.fromkeys(key for _, assumed in stating for key in assumed):
+        by_text: dict[str, list[str]] = {}
+        for name, assumed in stating:
+            by_text.setdefault(assumed.get(key, UNSTATED), []).append(name)
+        rows += [(key, text if len(by_text) == 1 else f"{text} ({_some(names)})") for text, names in by_text.items()]
+    return rows
+
+
+def doubts_of(records: Iterable[Record]) -> list[str]:
+    """Return the doubts about the cameras and points of each scene, once each, with the scene's name."""
+    said = (f"{record.dataset}/{record.scene}: {doubt}" for record in records for doubt in record.doubts)
+    return list(dict.fromkeys(said))
+
+
+class Apart(NamedTuple):
+    """A statement on the files of a scene that differs between two records. scene: with its data set."""
+
+    scene: str
+    name: str
+    a: str
+    b: str
+
+    @property
+    def sentence(self) -> str:
+        """The difference in words.
+
+        >>> Apart("synthetic/orbit", "size", "160×120 px", "640×480 px").sentence
+        'synthetic/orbit, size: 160×120 px → 640×480 px'
+        """
+        return f"{self.scene}, {self.name}: {self.a} → {self.b}"
+
+
+def assumed_apart(pairs: Iterable[tuple[Record, Record]]) -> list[Apart]:
+    """Return in what the statements of two records of one scene differ, each difference once, scene by scene.
+
+    Where one of them states nothing, as records of earlier versions do, that is the one difference.
+    """
+    found: dict[Apart, None] = {}
+    for a, b in pairs:
+        scene = f"{a.dataset}/{a.scene}"
+        if not a.assumed or not b.assumed:
+            if a.assumed or b.assumed:
+                found[Apart(scene, "assumptions", *("stated" if one.assumed else UNSTATED for one in (a, b)))] = None
+            continue
+        texts = [{**one.assumed, DOUBTS: "; ".join(one.doubts) or "none"} for one in (a, b)]
+        for name in dict.fromkeys([*texts[0], *texts[1]]):
+            mine, theirs = (text.get(name, UNSTATED) for text in texts)
+            if mine != theirs:
+                found[Apart(scene, name, mine, theirs)] = None
+    return sorted(found, key=lambda one: one.scene)
+
+
+def _some(names: Sequence[str]) -> str:
+    """Return the first few names, and how many there are if not all are named."""
+    unique = set(names)
+    more = f" and {len(unique) - MOST_NAMED} more" if len(unique) > MOST_NAMED else ""
+    return f"{first_few(unique)}{more}"

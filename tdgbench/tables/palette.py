@@ -1,0 +1,96 @@
+"""Which numbers of a table are of pseudo-colour images: their scores compare colours of a palette, not temperatures.
+
+Tables on disk say it in the column `image_values`. Printed ones mark the names of scenes and averages, and explain the
+mark in a line below.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from operator import attrgetter
+
+import pandas as pd
+
+from tdgbench.bench.record import Record
+from tdgbench.tables.measures import AVERAGE, OVERALL
+
+COLUMN = "image_values"
+WORDS = "palette, not temperature"
+IN_SOME = f"{WORDS}, in some scenes"  # of an average
+MARK = "†"
+FIELDS = ("dataset", "scene", "init", "split")  # of a record, which may be columns of a table
+
+
+def image_values(records: Iterable[Record]) -> str:
+    """Return WORDS if the scenes of these cells are in a palette, IN_SOME if not all are; empty if none is.
+
+    >>> cells = [Record("tdg", "", name, "", 0, "", "", channels=channels) for name, channels in (("a", 3), ("b", 1))]
+    >>> image_values(cells[:1]), image_values(cells), image_values(cells[1:])
+    ('palette, not temperature', 'palette, not temperature, in some scenes', '')
+    """
+    records = list(records)
+    scenes = {(record.dataset, record.scene) for record in records}
+    marked = {(record.dataset, record.scene) for record in records if record.in_palette}
+    return "" if not marked else WORDS if marked == scenes else IN_SOME
+
+
+def with_image_values(
+    table: pd.DataFrame, records: Iterable[Record], method: Callable[[Record], str] = attrgetter("method")
+) -> pd.DataFrame:
+    """Return the table with COLUMN, of the finished cells that each row is of. method: column `method` of a cell."""
+    finished = [record for record in records if record.failure is None]
+    names = [name for name in (*FIELDS, "method") if name in table]
+    fields = {name: method if name == "method" else attrgetter(name) for name in names}
+
+    def of_row(place: tuple[str, ...]) -> str:
+        wanted = dict(zip(names, place, strict=True))
+        if wanted.get("scene") in (AVERAGE, OVERALL):
+            del wanted["scene"]
+            if not wanted["dataset"]:  # an average over all of them
+                del wanted["dataset"]
+        return image_values(r for r in finished if all(fields[name](r) == value for name, value in wanted.items()))
+
+    places = list(table[names].itertuples(index=False, name=None))
+    known = {place: of_row(place) for place in set(places)}
+    return table.assign(**{COLUMN: [known[place] for place in places]})
+
+
+def is_marked(rows: pd.DataFrame) -> bool:
+    """Return whether any of the rows is of images in a palette."""
+    return COLUMN in rows and bool(rows[COLUMN].any())
+
+
+def values_over_scenes(rows: pd.DataFrame) -> str:
+    """Return `image_values` of a number over the scenes of these rows."""
+    if not is_marked(rows):
+        return ""
+    by_scene = (rows[COLUMN] != "").groupby([rows["dataset"], rows["scene"]]).any()
+    return WORDS if by_scene.all() else IN_SOME
+
+
+def with_mark(name: str, rows: pd.DataFrame) -> str:
+    """Return the name of a scene or an average, with MARK if any of its rows is of images in a palette."""
+    return f"{name} {MARK}" if is_marked(rows) else name
+
+
+def palette_notes(table: pd.DataFrame) -> list[str]:
+    """Return the line that explains MARK; none for a table without a marked row.
+
+    It names averages that are over other scenes as well, and methods if images of others are in no palette.
+    """
+    if not is_marked(table):
+        return []
+    marked = table[table[COLUMN] != ""]
+    if "scene" not in table:
+        return [f"{MARK} {IN_SOME if (marked[COLUMN] == IN_SOME).any() else WORDS}"]
+    is_average = table["scene"].isin((AVERAGE, OVERALL))
+    inside, partly, alone = table[(table[COLUMN] != "") & ~is_average], marked[marked[COLUMN] == IN_SOME], ""
+    if "method" in table:
+        others = table[~is_average & (table[COLUMN] == "") & table["value"].notna()]
+        if others["scene"].isin(inside["scene"]).any():
+            alone = f" ({', '.join(inside['method'].unique())} alone)"
+    averages = dict.fromkeys(
+        name if name == OVERALL else f"{name} of {dataset}"
+        for dataset, name in zip(partly["dataset"], partly["scene"], strict=True)
+    )
+    return [f"{MARK} {WORDS}{alone}{''.join(f'; {name}: in some scenes' for name in averages)}"]
