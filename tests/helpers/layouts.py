@@ -171,6 +171,15 @@ def write_model(scene: Scene, folder: Path, camera: str, suffix: str) -> None:
     reconstruction.write_binary(str(folder))
 
 
+def write_stored(scene: Scene, folder: Path, stored: Callable[[np.ndarray], np.ndarray], suffix: str = ".tiff") -> Path:
+    """Write a scene whose thermal images are what `stored` makes of a view's temperatures (H, W)."""
+    write_model(scene, folder / "sparse" / "0", "PINHOLE", ".png")
+    (folder / "thermal").mkdir()
+    for view in scene.views:
+        Image.fromarray(stored(celsius(view, scene))).save(folder / "thermal" / f"{view.name}{suffix}")
+    return folder
+
+
 def write_ply(path: Path, xyz: np.ndarray, colors: np.ndarray) -> None:
     """Points as nerfstudio's `create_ply_from_colmap` writes them: text, float positions, 8-bit colours."""
     header = ["ply", "format ascii 1.0", f"element vertex {len(xyz)}"]

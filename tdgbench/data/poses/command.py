@@ -24,6 +24,8 @@ def run(arguments: argparse.Namespace) -> int:
     result = compare(scene.poses, reference.poses)
     total = f"{len(scene.poses)} and {len(reference.poses)}"
     say(f"views: {len(result.position)} in both, of {total}; similarity of {result.fitted}")
+    for note in (*scene.notes, *reference.notes):
+        say(f"note: {note}")
     if result.rotation is None:
         say("rotation: n/a (the positions lie on a line, about which they determine no rotation)")
     else:

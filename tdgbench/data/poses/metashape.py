@@ -10,17 +10,19 @@ from __future__ import annotations
 import io
 import zipfile
 from collections import Counter
+from collections.abc import Collection
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from tdgbench.scenes.camera import pose_at
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import decoding, read_bytes
 from tdgbench.scenes.layouts.transforms import OPENGL_TO_OPENCV
-from tdgbench.scenes.scene import pose_at
 
 MOST_BYTES = 2**28  # of a document inside an archive
 TABLE = "# PhotoID, X, Y, Z, Omega, Phi, Kappa, r11, r12, r13, r21, r22, r23, r31, r32, r33"
@@ -39,23 +41,76 @@ def read_xml(path: Path) -> Element:
         return ElementTree.fromstring(content)
 
 
-def chunk_poses(root: Element, path: Path) -> dict[str, np.ndarray]:
-    """Return world to camera (4, 4) by camera label.
+class Chunk(NamedTuple):
+    """Aligned, enabled cameras, by label. poses: world to camera (4, 4). lenses: the id of each one's lens.
+
+    notes: what of the file was left out or composed, in words.
+    """
+
+    poses: dict[str, np.ndarray]
+    lenses: dict[str, int]
+    notes: list[str]
+
+
+def read_chunk(root: Element, path: Path) -> Chunk:
+    """Return the cameras of a chunk, in the chunk's own frame. Raises SceneError.
 
     Components have worlds of their own: poses are of the one with most cameras.
     """
-    cameras = [camera for camera in root.iter("camera") if camera.find("transform") is not None]
-    components = Counter(camera.get("component_id") for camera in cameras)
-    poses: dict[str, np.ndarray] = {}
-    for camera in cameras:
-        label = camera.get("label", "")
-        if camera.get("component_id") != components.most_common(1)[0][0]:
-            continue
-        if label in poses:
-            raise SceneError(f"{path} has two cameras labelled {label}; export the cameras of one sensor alone")
-        to_world = _numbers(camera.findtext("transform", "").split(), 16, f"{path}: camera {label}").reshape(4, 4)
-        poses[label] = pose_at(to_world[:3, 3], to_world[:3, :3].T)
-    return poses
+    if (chunks := len([*root.iter("chunk")])) > 1:
+        raise SceneError(f"{path} holds {chunks} chunks; export the cameras of one")
+    cameras = {camera.get("id"): camera for camera in root.iter("camera")}
+    sensors = {sensor.get("id"): sensor for sensor in root.iter("sensor")}
+    component = {key: cameras.get(one.get("master_id"), one).get("component_id") for key, one in cameras.items()}
+    placed = {key: place for key, one in cameras.items() if (place := _place(one, cameras, sensors, path)) is not None}
+    enabled = [key for key in placed if cameras[key].get("enabled") not in ("0", "false")]
+    largest = Counter(component[key] for key in enabled).most_common(1)
+    kept = [key for key in enabled if component[key] == largest[0][0]]
+    chunk = Chunk({}, {}, [])
+    for key in kept:
+        label = cameras[key].get("label", "")
+        if label in chunk.poses:
+            raise SceneError(f"{path} has two cameras labelled {label}; disable those of one sensor, and export again")
+        chunk.poses[label] = pose_at(placed[key][:3, 3], placed[key][:3, :3].T)
+        chunk.lenses[label] = _lens_id(sensors.get(cameras[key].get("sensor_id")))
+    composed = sum(cameras[key].find("transform") is None for key in kept)
+    moved = any(block.find("transform") is not None for tag in ("chunk", "component") for block in root.iter(tag))
+    said = {
+        "are disabled, and left out": len(placed) - len(enabled),
+        "belong to smaller components, and are left out": len(enabled) - len(kept),
+        "are slaves of a multi-camera system: their poses are composed of their masters' and their sensor's": composed,
+    }
+    chunk.notes.extend(f"{number} cameras {what}" for what, number in said.items() if number)
+    chunk.notes.extend(["poses are in the chunk's own frame: its georeference and scale are not applied"] * moved)
+    return chunk
+
+
+def _place(
+    camera: Element, cameras: dict[str | None, Element], sensors: dict[str | None, Element], path: Path
+) -> np.ndarray | None:
+    """Return camera to chunk (4, 4); None if it is not aligned. Raises SceneError.
+
+    A slave without a transform of its own has its master's times [R | t], its sensor's rotation and location, which
+    lead from the slave to the master (metashape-expert-manual, "The slave-sensor transform", tried on Metashape 2.2.2).
+    """
+    where = f"{path}: camera {camera.get('label', '')}"
+    own, master = camera.find("transform"), cameras.get(camera.get("master_id"), camera)
+    if own is not None:
+        return _numbers((own.text or "").split(), 16, where).reshape(4, 4)
+    if master is camera or master.find("transform") is None:
+        return None
+    sensor = sensors.get(camera.get("sensor_id"))
+    of_rig = sensor is not None and sensor.get("master_id") == master.get("sensor_id")
+    if sensor is None or not of_rig or sensor.find("rotation") is None or sensor.find("location") is None:
+        raise SceneError(
+            f"{where} is the slave of {master.get('label')}, but its sensor states no rotation and location in that "
+            "one's sensor; align the multi-camera system, and export again"
+        )
+    to_master = np.eye(4)
+    for tag, block in (("rotation", to_master[:3, :3]), ("location", to_master[:3, 3])):
+        if words := sensor.findtext(tag, "").split():  # an empty one is Metashape's default: no rotation, no offset
+            block[...] = _numbers(words, block.size, f"{where}: {tag} of its sensor").reshape(block.shape)
+    return _numbers(master.findtext("transform", "").split(), 16, where).reshape(4, 4) @ to_master
 
 
 def table_poses(path: Path) -> dict[str, np.ndarray]:
@@ -75,13 +130,23 @@ def table_poses(path: Path) -> dict[str, np.ndarray]:
     return poses
 
 
-def lenses(root: Element, path: Path) -> list[CameraEntry]:
-    """Return the camera of a lens file, or those of all sensors of a document. Raises SceneError."""
-    blocks = [root] if root.tag == "calibration" else []
+def lenses(root: Element, path: Path, ids: Collection[int] | None = None) -> list[CameraEntry]:
+    """Return the camera of a lens file, or those of a document's sensors, all or of these ids. Raises SceneError."""
+    if root.tag == "calibration":
+        return [_camera(root, path)]
+    found = []
     for sensor in root.iter("sensor"):
         by_class = {block.get("class"): block for block in sensor.findall("calibration")}
-        blocks += [by_class[name] for name in ("adjusted", "initial") if name in by_class][:1]
-    return [_camera(block, path) for block in blocks]
+        blocks = [by_class[name] for name in ("adjusted", "initial") if name in by_class]
+        if blocks and (ids is None or _lens_id(sensor) in ids):
+            found.append(_camera(blocks[0], path)._replace(id=_lens_id(sensor)))
+    return found
+
+
+def _lens_id(sensor: Element | None) -> int:
+    """Return the id of a sensor's lens, from 1 as COLMAP's."""
+    number = "0" if sensor is None else sensor.get("id", "0")
+    return int(number) + 1 if number.isdecimal() else 1
 
 
 def _camera(block: Element, path: Path) -> CameraEntry:

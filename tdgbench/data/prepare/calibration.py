@@ -17,7 +17,7 @@ from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap.pinhole import to_pinhole
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.colmap.text import read_cameras
-from tdgbench.scenes.images import opened_image
+from tdgbench.scenes.formats import metadata
 from tdgbench.scenes.inputs import is_folder, read_bytes
 
 FOCALS = 0.4, 10.0  # of a lens, × the image's width: 103° to 6°
@@ -81,8 +81,8 @@ def exif_focal(path: Path, size: Size) -> float | None:
     By the 35-mm equivalent, or the length in mm and the pixels per unit of the focal plane. FLIR's TIFF (Vue Pro of
     chuckaustin/devilsRiver 156557a) states the sensor's width there, 10.88 mm for 640 px of 17 µm.
     """
-    with opened_image(path) as image:
-        tags = image.getexif().get_ifd(EXIF)
+    with metadata(path) as (exif, _):
+        tags = exif.get_ifd(EXIF)
     try:
         known = [float(tags.get(tag) or math.nan) for tag in (FOCAL, X_RESOLUTION, FOCAL_35MM)]
         original_width = float(tags.get(WIDTH) or size[0])

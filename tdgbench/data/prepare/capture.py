@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,27 +13,21 @@ import numpy as np
 from PIL import Image
 from skimage.exposure import equalize_adapthist
 
-from tdgbench.data.prepare.places import GPS, camera_name, read_gps, read_height
+from tdgbench.data.prepare.dji import JPEG, RAW, check_unit, converted_with, read_raw
+from tdgbench.data.prepare.places import GPS, Taken, read_taken
 from tdgbench.data.prepare.report import FileReport, Report
 from tdgbench.data.prepare.resample import Size
 from tdgbench.data.prepare.sources import Sources, ViewFiles
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import MOST_COUNTS, read_image, storage, with_channels
+from tdgbench.scenes.formats import Decoded, PhotoMapping, agreed_scale, celsius_of, decode, header
+from tdgbench.scenes.images import read_image, unit_image, with_channels
 from tdgbench.scenes.inputs import is_there
-from tdgbench.scenes.radiometric import (
-    PhotoMapping,
-    count_scale,
-    dji_counts,
-    is_radiometric,
-    read_celsius,
-    read_thermogram,
-)
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
 
-JPEG = (".jpg", ".jpeg")
 TAILS = 0.5, 99.5  # percentiles of a thermal image that become black and white in its picture for COLMAP
 NEARLY_ALL = 0.8  # of the views: others, of another kind, are left out; with fewer, nobody knows what is meant
+MOST_SAID = 8  # of what files state, and what is assumed about them
 CLIP_LIMIT = 0.02  # of CLAHE, as a share of a tile's pixels
 
 
@@ -49,12 +43,14 @@ class Kind(NamedTuple):
     is_one_file: bool  # the RGB image is the photo inside the thermal file
     is_thermal_alone: bool = False
     camera: str = ""  # as the thermal file's EXIF data name it
+    counts: str = ""  # how the thermal file holds them; empty of other values
 
     def __str__(self) -> str:
         sizes = f"{self.thermal[0]}×{self.thermal[1]}"
         if not self.is_thermal_alone:
             sizes = f"RGB {self.rgb[0]}×{self.rgb[1]} and thermal {sizes}"
         by = f" by {self.camera}" if self.camera else ""
+        by += f", counts of {self.counts}" if self.counts else ""
         return sizes + by + ("" if self.is_celsius else " without temperatures") + (" in one file" * self.is_one_file)
 
 
@@ -63,14 +59,22 @@ class ViewContent:
     """Content of a view's files.
 
     thermal: (H, W) float64 °C with NaN where invalid; or (H, W, C) float32 in [0, 1] of shown images. rgb: (h, w, 3)
-    float32 in [0, 1], if it is looked for. mapping: as a FLIR file states it, of its own photo. settings: of the
-    camera, in words.
+    float32 in [0, 1], if it is looked for. mapping: as a FLIR file states it, of its own photo. counts: as of Kind.
+    settings: of the camera, in words. assumed: about the files.
     """
 
     thermal: np.ndarray
     rgb: np.ndarray | None
+    taken: Taken
     mapping: PhotoMapping | None = None
+    counts: str = ""
     settings: str = ""
+    assumed: Sequence[str] = ()
+
+    def kind(self, is_one_file: bool) -> Kind:
+        thermal = self.thermal.shape[1::-1]
+        rgb = thermal if self.rgb is None else self.rgb.shape[1::-1]
+        return Kind(rgb, thermal, self.thermal.ndim == 2, is_one_file, self.rgb is None, self.taken.camera, self.counts)
 
 
 @dataclass
@@ -114,30 +118,28 @@ def read_capture(
     kinds.
     """
     report.files += [FileReport(str(p), "", p.stem, "left out", why) for p, why in sources.left_out.items()]
+    report.assumptions += sources.notes
     radiometry = read_radiometry(folder / FILE)
     if not scale.is_known and radiometry is not None:
         scale = radiometry.scale
     capture = Capture(work, Kind((0, 0), (0, 0), False, False))
     kinds: dict[Kind, list[FileReport]] = {}
-    stated: dict[str, str] = {}  # settings of the camera, by view
+    stated: dict[str, tuple[str, ...]] = {}  # by the files, by view
     with step("files to read", len(sources.views)) as count:
         for index, files in enumerate(sources.views):
             rgb = "" if thermal_alone else "inside" if files.rgb is None else str(files.rgb)
-            entry = FileReport(str(files.thermal), rgb, files.view, "written")
+            origin = "" if files.origin is None else str(files.origin)
+            entry = FileReport(str(files.thermal), rgb, files.view, "written", origin=origin)
             report.files.append(entry)
             try:
-                content = read_thermal(files.thermal, scale) if thermal_alone else read_view(files, scale)
+                content = read_view(files, scale, thermal_alone)
             except SceneError as error:
                 entry.status, entry.reason = "not read", str(error)
             else:
                 _store(capture, files, content, index)
-                thermal = content.thermal.shape[1::-1]
-                rgb_size = thermal if content.rgb is None else content.rgb.shape[1::-1]
-                is_one_file = files.rgb is None and not thermal_alone
-                camera = camera_name(files.thermal)
-                kind = Kind(rgb_size, thermal, content.thermal.ndim == 2, is_one_file, thermal_alone, camera)
-                kinds.setdefault(kind, []).append(entry)
-                stated[files.view] = content.settings
+                kinds.setdefault(content.kind(files.rgb is None and not thermal_alone), []).append(entry)
+                settings = f"temperatures are the object's, as set in the camera or its converter: {content.settings}"
+                stated[files.view] = *([settings] if content.settings else []), *content.assumed
             count(index + 1)
     if not kinds:
         raise too_few(folder, 0, report)
@@ -151,13 +153,13 @@ def read_capture(
     if not capture.kind.is_celsius:
         known = f"whose °C {folder / FILE} gives"
         if not is_there(folder / FILE):
-            known = "without °C: errors need a range, by --degC-per-count, temperature.json or DJI's SDK (docs/data.md)"
+            known = "without °C: errors need --degC-per-count, a temperature.json or a converter (docs/data.md)"
         report.assumptions.append(f"thermal images show values {known}")
-    settings = Counter(stated[view] for view in capture.names)
-    for words, number in settings.most_common(1):
-        others = f" in {number} files; {len(settings) - 1} other settings" if len(settings) > 1 else ""
-        if words:
-            report.assumptions.append(f"temperatures are the object's, as set in the camera: {words}{others}")
+    said = Counter(words for view in capture.names for words in stated[view])
+    report.assumptions += [
+        words + (f" ({number} of {len(capture.names)} views)" if number < len(capture.names) else "")
+        for words, number in said.most_common(MOST_SAID)
+    ]
     return capture
 
 
@@ -174,36 +176,40 @@ def _main_kind(folder: Path, kinds: dict[Kind, list[FileReport]]) -> Kind:
     return ranked[0][0]
 
 
-def read_view(files: ViewFiles, scale: CountScale) -> ViewContent:
-    """Read a view's files. Raises SceneError naming the file."""
-    if files.rgb is None:
-        is_dji = dji_counts(files.thermal) is not None
-        thermogram = None if is_dji else read_thermogram(files.thermal)
-        if thermogram is None or thermogram.photo is None:
-            raise SceneError(
-                f"{files.thermal} holds no photo: put an RGB image of the same name beside it, or name both by "
-                "--pairs, or find poses in thermal images alone, by --sfm thermal"
-            )
-        photo = thermogram.photo.astype(np.float32) / 255
-        return ViewContent(thermogram.celsius, photo, thermogram.mapping, _in_words(thermogram.settings))
-    if holds_celsius(files.thermal, scale):
-        celsius, photo = read_celsius(files.thermal, scale), with_channels(read_image(files.rgb), 3)
-        return ViewContent(celsius, photo, None, _tlinear(files.thermal, scale))
-    return ViewContent(read_image(files.thermal), with_channels(read_image(files.rgb), 3))
+def read_view(files: ViewFiles, scale: CountScale, thermal_alone: bool = False) -> ViewContent:
+    """Read a view's files. Counts without a scale stay counts in thermal images alone. Raises SceneError."""
+    path = check_unit(files.thermal)
+    decoded = read_raw(path, files.origin) if path.suffix.lower() == RAW else decode(path)
+    found, rgb, mapping, assumed = decoded.header, None, None, [*decoded.header.assumed]
+    if files.rgb is not None:
+        rgb = with_channels(read_image(files.rgb), 3)
+        assumed += [f"RGB: {words}" for words in header(files.rgb, as_picture=True).assumed]
+    elif not thermal_alone and decoded.photo is None:
+        raise SceneError(
+            f"{path} holds no photo{decoded.lost and f' ({decoded.lost})'}: put an RGB image of the same name beside "
+            "it, or name both by --pairs, or find poses in thermal images alone, by --sfm thermal"
+        )
+    elif not thermal_alone and decoded.photo is not None:
+        rgb, mapping = decoded.photo.astype(np.float32) / 255, decoded.mapping
+    own = agreed_scale(path, found, scale) if found.meaning == "counts" else scale
+    may_be_shown = thermal_alone or found.format == "PNG"
+    if found.meaning == "°C" or (found.meaning == "counts" and (own.is_known or not may_be_shown)):
+        thermal = celsius_of(decoded, path, scale)
+    else:
+        thermal = unit_image(decoded, path)
+        if decoded.valid is not None:
+            thermal[~decoded.valid] = np.nan
+    assumed += [decoded.lost] if decoded.lost else []
+    counts = found.format if found.meaning == "counts" else ""
+    return ViewContent(thermal, rgb, _taken(files), mapping, counts, _settings(decoded, path, own, scale), assumed)
 
 
-def read_thermal(path: Path, scale: CountScale) -> ViewContent:
-    """Read a view of thermal images alone; counts without a scale stay counts. Raises SceneError naming the file."""
-    counts = dji_counts(path)
-    if counts is not None and not scale.is_known:
-        return ViewContent((counts[:, :, None] / MOST_COUNTS).astype(np.float32), None)
-    is_scaled = storage(path) != "16-bit" or count_scale(path, scale).is_known
-    if not (is_scaled and holds_celsius(path, scale)):
-        return ViewContent(read_image(path), None)
-    if counts is None and path.suffix.lower() in JPEG:
-        thermogram = read_thermogram(path)
-        return ViewContent(thermogram.celsius, None, None, _in_words(thermogram.settings))
-    return ViewContent(read_celsius(path, scale), None, None, _tlinear(path, scale))
+def _taken(files: ViewFiles) -> Taken:
+    """Return how a view was taken: position as of the RGB image, if it has one; the camera is the thermal one."""
+    stated = [read_taken(path) for path in (files.rgb, files.origin, files.thermal) if path is not None]
+    gps = next((one.gps for one in stated if one.gps is not None), None)
+    height = next((one.height for one in stated if one.height is not None), None)
+    return Taken(gps, height, next((one.camera for one in stated[::-1] if one.camera), ""))
 
 
 def write_pictures(capture: Capture) -> None:
@@ -225,11 +231,6 @@ def picture(thermal: np.ndarray) -> np.ndarray:
     return np.round(255 * equalize_adapthist(stretched, clip_limit=CLIP_LIMIT)).astype(np.uint8)
 
 
-def holds_celsius(path: Path, scale: CountScale) -> bool:
-    """Return whether temperatures can be read from a thermal file; else it shows values without a scale."""
-    return is_radiometric(path) or (scale.is_known and storage(path) == "16-bit")
-
-
 def too_few(folder: Path, count: int, report: Report) -> SceneError:
     """Return the error of a folder with too few views for a scene."""
     reasons = report.reasons()
@@ -249,24 +250,21 @@ def _store(capture: Capture, files: ViewFiles, content: ViewContent, index: int)
         Image.fromarray(np.round(content.rgb * 255).astype(np.uint8)).save(capture.folder / name)
     np.save(capture.folder / f"{name}.npy", content.thermal.astype(np.float32))
     capture.names[files.view] = name
-    if (gps := read_gps(files.rgb or files.thermal)) is not None:
-        capture.places[files.view] = gps
-    if (height := read_height(files.rgb or files.thermal)) is not None:
-        capture.heights[files.view] = height
+    if content.taken.gps is not None:
+        capture.places[files.view] = content.taken.gps
+    if content.taken.height is not None:
+        capture.heights[files.view] = content.taken.height
     if content.mapping is not None:
         capture.mappings[files.view] = content.mapping
 
 
-def _tlinear(path: Path, scale: CountScale) -> str:
-    """Say how a file's temperatures were computed if the file itself states it."""
-    stated = count_scale(path, scale)
-    return "" if stated == scale else f"TLinear, °C = counts × {stated.degC_per_count:g} - 273.15"
-
-
-def _in_words(settings: dict[str, float]) -> str:
-    """Say what a FLIR file's temperatures were corrected with."""
-    return (
-        f"emissivity {settings['emissivity']:.2f}, distance {settings['object_distance']:g} m, reflected "
-        f"{settings['reflected_apparent_temperature'] - 273.15:.1f} °C, window transmission "
-        f"{settings['ir_window_transmission']:.2f}"
-    )
+def _settings(decoded: Decoded, path: Path, own: CountScale, given: CountScale) -> str:
+    """Say what a file itself states of its temperatures: FLIR's settings, a converter's, or TLinear."""
+    settings = decoded.settings
+    if settings:
+        return (
+            f"emissivity {settings['emissivity']:.2f}, distance {settings['object_distance']:g} m, reflected "
+            f"{settings['reflected_apparent_temperature'] - 273.15:.1f} °C, window transmission "
+            f"{settings['ir_window_transmission']:.2f}"
+        )
+    return f"TLinear, °C = counts × {own.degC_per_count:g} - 273.15" if own != given else converted_with(path)

@@ -14,7 +14,7 @@ from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.sfm import CAMERA_MODELS, Matching, SfmOptions
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.radiometric import PhotoMapping
+from tdgbench.scenes.formats import PhotoMapping
 from tdgbench.scenes.temperature import CountScale
 from tdgbench.terminal import say
 

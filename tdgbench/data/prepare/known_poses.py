@@ -26,10 +26,11 @@ FAR = 100  # × the cameras' extent: an origin that float32 coordinates cannot a
 
 
 class KnownPoses(NamedTuple):
-    """World-to-camera poses (4, 4) by image file, and the points in their world if these are known."""
+    """World-to-camera poses (4, 4) by image file, points in their world if these are known, and ids of their lenses."""
 
     poses: dict[str, np.ndarray]
     points: PointCloud | None
+    lens_ids: frozenset[int] = frozenset()
 
     @property
     def centres(self) -> np.ndarray:
@@ -58,12 +59,13 @@ def known_poses(path: Path, reference: Reference, capture: Capture, report: Repo
         )
     capture.keep(found)
     poses = {name: reference.poses[found[view]] for view, name in capture.names.items()}
-    report.assumptions.append(f"poses are those of {path}, in its world")
+    report.assumptions += [f"poses are those of {path}, in its world", *reference.notes]
     if len(found) < len(reference.poses):
         report.assumptions.append(
             f"{len(reference.poses) - len(found)} of its {len(reference.poses)} poses are of no image"
         )
-    return _near_origin(KnownPoses(poses, reference.points), report)
+    lens_ids = frozenset(reference.lens_ids[name] for name in found.values() if name in reference.lens_ids)
+    return _near_origin(KnownPoses(poses, reference.points, lens_ids), report)
 
 
 def structure_of(known: KnownPoses, images: Path, size: Size, stages: Stages, options: SfmOptions) -> Structure:
@@ -120,4 +122,4 @@ def _near_origin(known: KnownPoses, report: Report) -> KnownPoses:
     to_world = np.eye(4)
     to_world[:3, 3] = middle
     points = None if known.points is None else replace(known.points, points=known.points.points - middle)
-    return KnownPoses({name: pose @ to_world for name, pose in known.poses.items()}, points)
+    return known._replace(poses={name: pose @ to_world for name, pose in known.poses.items()}, points=points)

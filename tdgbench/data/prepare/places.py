@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pycolmap
@@ -14,7 +14,7 @@ from PIL import ExifTags
 from scipy.spatial import cKDTree
 
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.images import opened_image
+from tdgbench.scenes.formats import metadata
 
 NEIGHBOURS = 10  # that each image is matched with
 DOWN = 0.9  # of the viewing direction: within 26° of the vertical
@@ -26,34 +26,24 @@ DRONE = re.compile(rb'drone-dji:(GpsLat|GpsLon|Abs|Rel)\w*(?:="|>)\s*([-+.\d]+)'
 GPS = tuple[float, float, float]  # latitude and longitude in degrees (WGS 84), altitude in m
 
 
-def read_gps(path: Path) -> GPS | None:
-    """Return a picture's position by its EXIF data, else by XMP of DJI; None if neither says it.
+class Taken(NamedTuple):
+    """How a picture was taken, as its file says. gps: None also at 0° N, 0° E, of a receiver without satellites."""
 
-    A position of 0° N, 0° E stands for a receiver without satellites.
-    """
-    with suppress(SceneError), opened_image(path) as image:
-        exif = image.getexif()
-        xmp = dict(DRONE.findall(image.info.get("xmp", b"")))
-        gps = _exif_gps(exif.get_ifd(ExifTags.IFD.GPSInfo))
+    gps: GPS | None = None  # by EXIF data, else by XMP of DJI
+    height: float | None = None  # m above where a drone of DJI took off
+    camera: str = ""  # model by EXIF data
+
+
+def read_taken(path: Path) -> Taken:
+    """Return what EXIF data and XMP of a file say; nothing of a file that is no image."""
+    with suppress(SceneError), metadata(path) as (exif, packet):
+        xmp, gps = dict(DRONE.findall(packet)), _exif_gps(exif.get_ifd(ExifTags.IFD.GPSInfo))
         if gps is None and {b"GpsLat", b"GpsLon", b"Abs"} <= xmp.keys():
             gps = float(xmp[b"GpsLat"]), float(xmp[b"GpsLon"]), float(xmp[b"Abs"])
-        return gps if gps is not None and any(gps[:2]) else None
-    return None
-
-
-def camera_name(path: Path) -> str:
-    """Return the model of the camera that a file's EXIF data name; empty if they name none."""
-    with suppress(SceneError), opened_image(path) as image:
-        return str(image.getexif().get(ExifTags.Base.Model, "")).strip("\0 ")
-    return ""
-
-
-def read_height(path: Path) -> float | None:
-    """Return how far above the place where it took off, in m, XMP of DJI says that a drone was; None of others."""
-    with suppress(SceneError), opened_image(path) as image:
-        xmp = dict(DRONE.findall(image.info.get("xmp", b"")))
-        return float(xmp[b"Rel"]) if b"Rel" in xmp else None
-    return None
+        height = float(xmp[b"Rel"]) if b"Rel" in xmp else None
+        camera = str(exif.get(ExifTags.Base.Model, "")).strip("\0 ")
+        return Taken(gps if gps is not None and any(gps[:2]) else None, height, camera)
+    return Taken()
 
 
 def coordinates(places: dict[str, GPS]) -> dict[str, np.ndarray]:

@@ -15,7 +15,8 @@ from pydantic import ConfigDict, TypeAdapter
 from tdgbench.data.new_folder import new_folder
 from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare.calibration import checked_lenses, exif_focal
-from tdgbench.data.prepare.capture import JPEG, Capture, Kind, read_capture, too_few, write_pictures
+from tdgbench.data.prepare.capture import Capture, Kind, read_capture, too_few, write_pictures
+from tdgbench.data.prepare.dji import JPEG
 from tdgbench.data.prepare.known_poses import known_poses, structure_of
 from tdgbench.data.prepare.places import coordinates, doubted_by_height
 from tdgbench.data.prepare.report import Report
@@ -26,8 +27,8 @@ from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap import write_model
+from tdgbench.scenes.formats import PhotoMapping
 from tdgbench.scenes.inputs import is_there
-from tdgbench.scenes.radiometric import PhotoMapping
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
 
 READ = TypeAdapter(tuple[Capture, Report], config=ConfigDict(ser_json_inf_nan="constants"))  # what was read, as JSON
@@ -106,7 +107,8 @@ def _read(
 ) -> tuple[Capture, Report]:
     """Read the camera's files, or what an earlier run stored of them: the capture, and the report until then."""
     sources = find_sources(folder, options.pairs, thermal_alone)
-    used = [folder / FILE, *(path for view in sources.views for path in (view.thermal, view.rgb) if path is not None)]
+    files = (path for view in sources.views for path in (view.thermal, view.rgb, view.origin) if path is not None)
+    used = [folder / FILE, *files]
     states = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in used if is_there(path)]
 
     def write(place: Path) -> None:
@@ -115,7 +117,7 @@ def _read(
             write_pictures(capture)
         (place / "capture.json").write_bytes(READ.dump_json((capture, report)))
 
-    inputs = states, sources.left_out, options.counts, thermal_alone, report
+    inputs = states, sources, options.counts, thermal_alone, report
     place = stages.make("images", inputs, write)
     capture, report = READ.validate_json((place / "capture.json").read_bytes())
     return replace(capture, folder=place), report
@@ -133,7 +135,8 @@ def _structure(
     else:
         reference = read_reference(poses)
         known = known_poses(poses, reference, capture, report)
-        stated = [] if sfm.focal is not None or sfm.calibration else reference.lenses()
+        ids = [known.lens_ids] if known.lens_ids else []
+        stated = [] if sfm.focal is not None or sfm.calibration else reference.lenses(*ids)
         sfm = replace(sfm, calibration=checked_lenses(stated, poses)) if stated else sfm
         sfm = _with_lens(sfm, report, capture.kind)
         if sfm.focal is None and not sfm.calibration:
@@ -175,7 +178,8 @@ def _with_lens(options: SfmOptions, report: Report, kind: Kind) -> SfmOptions:
         what = f"focal length {options.focal:g} px" if options.focal is not None else "known lens"
         report.assumptions.append(f"{what}, {'which COLMAP refines' if options.refine else 'which is kept'}")
         return options
-    paths = [Path(one.rgb or one.file) for one in report.files if one.status == "written" and one.rgb != "inside"]
+    used = [one for one in report.files if one.status == "written" and one.rgb != "inside"]
+    paths = [Path(one.rgb or one.origin or one.file) for one in used]
     written = [path for path in paths if kind.is_thermal_alone or path.suffix.lower() not in JPEG]
     stated = {exif_focal(path, kind.rgb) for path in written}
     (focal,) = stated if len(stated) == 1 else (None,)

@@ -22,6 +22,7 @@ class FileReport:
     status: Status
     reason: str = ""
     invalid: float = 0.0  # share of the output's pixels without a measured value
+    origin: str = ""  # the camera's file that another program computed `file` of
 
 
 @dataclass

@@ -17,9 +17,9 @@ from scipy.ndimage import map_coordinates
 
 from tdgbench.scenes import Camera, SceneError
 from tdgbench.scenes.colmap import Undistortion
+from tdgbench.scenes.formats import PhotoMapping
 from tdgbench.scenes.images import nearest_valid, resize
 from tdgbench.scenes.inputs import read_bytes
-from tdgbench.scenes.radiometric import PhotoMapping
 from tdgbench.scenes.view_images import ASPECT_TOLERANCE
 
 Size = tuple[int, int]  # width, height in px

@@ -4,15 +4,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from tdgbench.data.prepare.places import (
-    camera_name,
-    coordinates,
-    doubted_by_height,
-    nearest_pairs,
-    read_gps,
-    read_height,
-    to_metres,
-)
+from tdgbench.data.prepare.places import Taken, coordinates, doubted_by_height, nearest_pairs, read_taken, to_metres
 from tdgbench.scenes import SceneError
 from tests.helpers.exif import degrees, exif_gps, write_placed
 
@@ -20,19 +12,19 @@ XMP = b'<x drone-dji:GpsLatitude="-23.5" drone-dji:GpsLongtitude="+113.25" drone
 
 
 def test_places_in_files(tmp_path):
-    path = tmp_path / "a.jpg"
-    assert read_gps(write_placed(path)) is None
-    assert read_gps(write_placed(path, exif_gps(south=True), XMP)) == pytest.approx((-23.06, -113.5, 133.25))
-    assert read_gps(write_placed(path, exif_gps(GPSAltitudeRef=b"\x01")))[2] == -133.25
-    assert read_gps(write_placed(path, xmp=XMP)) == (-23.5, 113.25, 133.23)
-    assert read_gps(write_placed(path, exif_gps(GPSAltitude=None))) is None
-    nowhere = exif_gps(GPSLatitude=degrees(0, 0, 0), GPSLongitude=degrees(0, 0, 0))
-    assert read_gps(write_placed(path, nowhere)) is None
-    risen = XMP.replace(b"/>", b' drone-dji:RelativeAltitude="+30.00"/>')
-    assert read_height(write_placed(path, xmp=risen)) == 30 and read_gps(path) == (-23.5, 113.25, 133.23)
-    assert read_height(write_placed(path, xmp=XMP)) is None and camera_name(path) == ""
-    path.write_bytes(b"no image")
-    assert read_gps(path) is read_height(path) is None and camera_name(path) == ""
+    def gps(*given):
+        return read_taken(write_placed(tmp_path / "a.jpg", *given)).gps
+
+    assert gps() is None and read_taken(tmp_path / "a.jpg") == Taken()
+    assert gps(exif_gps(south=True), XMP) == pytest.approx((-23.06, -113.5, 133.25))
+    assert gps(exif_gps(GPSAltitudeRef=b"\x01"))[2] == -133.25
+    assert gps(None, XMP) == (-23.5, 113.25, 133.23) and read_taken(tmp_path / "a.jpg").height is None
+    assert gps(exif_gps(GPSAltitude=None)) is None
+    assert gps(exif_gps(GPSLatitude=degrees(0, 0, 0), GPSLongitude=degrees(0, 0, 0))) is None
+    assert gps(None, XMP.replace(b"/>", b' drone-dji:RelativeAltitude="+30.00"/>')) == (-23.5, 113.25, 133.23)
+    assert read_taken(tmp_path / "a.jpg").height == 30
+    (tmp_path / "a.jpg").write_bytes(b"no image")
+    assert read_taken(tmp_path / "a.jpg") == Taken()
 
 
 def test_a_focal_length_that_contradicts_the_height_is_doubted():

@@ -15,10 +15,11 @@ from tdgbench.data.prepare.capture import picture
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions, Structure
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
-from tdgbench.scenes.radiometric import PhotoMapping, dji_counts, read_celsius
+from tdgbench.scenes.formats import PhotoMapping, read_celsius
 from tdgbench.scenes.temperature import CountScale
+from tests.helpers.dji import write_dji
 from tests.helpers.exif import degrees, exif_gps, write_placed
-from tests.helpers.flir import FlirCamera, with_segments, write_flir
+from tests.helpers.flir import FlirCamera, write_flir
 from tests.helpers.layouts import celsius
 from tests.helpers.paths import SHARED
 
@@ -197,7 +198,7 @@ def dji_capture(scene, folder, views=6):
 def test_dji_files_are_reported_with_the_remedy(tmp_path, small_gray_scene):
     source = dji_capture(small_gray_scene, tmp_path / "camera")
     pairs = replace(EXTRACT, pairs=("*_T.JPG", "*_V.png"))
-    with pytest.raises(SceneError, match=r"export it as float TIFF with the SDK's dji_irp .*or say .*degC_per_count"):
+    with pytest.raises(SceneError, match=r"view000_T\.JPG and 5 others: holds counts.*or say .*degC_per_count"):
         prepare_scene(source, tmp_path / "out", pairs)
     for path in source.glob("*.png"):
         path.unlink()
@@ -325,31 +326,6 @@ def test_flir_tiff_states_its_temperatures(tmp_path, small_gray_scene, monkeypat
     assert ("without °C" in report.text()) != is_celsius
     temperature = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None).temperature
     assert 18.8 < temperature.min < temperature.max < 22.9 if is_celsius else temperature is None
-
-
-def write_dji(path, counts, height=None, segment=b"\xe3"):
-    """Write a JPEG with DJI's maker name and raw counts, in several segments; those of APP3 or another."""
-    Image.fromarray(np.zeros((height or len(counts), counts.shape[1]), np.uint8)).save(path, "JPEG")
-    raw = counts.tobytes()
-    pieces = [raw[first : first + 1000] for first in range(0, len(raw), 1000)]
-    segments = [b"\xff\xe1" + (40).to_bytes(2, "big") + b"Exif\0\0MM DJI".ljust(38, b"\0")]
-    segments += [b"\xff\xe3" + (42).to_bytes(2, "big") + bytes(40)] * (segment != b"\xe3")  # as Zenmuse XT S has
-    segments += [b"\xff" + segment + (len(piece) + 2).to_bytes(2, "big") + piece for piece in pieces]
-    path.write_bytes(with_segments(path.read_bytes(), segments))
-
-
-def test_raw_counts_of_dji(tmp_path):
-    rng = np.random.default_rng(0)
-    counts = rng.integers(5000, 5400, (36, 48)).astype("<u2")
-    write_dji(tmp_path / "a.jpg", counts)
-    assert np.array_equal(dji_counts(tmp_path / "a.jpg"), counts)
-    write_dji(tmp_path / "s.jpg", counts, segment=b"\xe4")
-    assert np.array_equal(dji_counts(tmp_path / "s.jpg"), counts)
-    write_dji(tmp_path / "b.jpg", counts[:-1], height=36)
-    with pytest.raises(SceneError, match=r"b\.jpg has 3360 bytes of raw data for 48×36 pixels"):
-        dji_counts(tmp_path / "b.jpg")
-    Image.fromarray(np.zeros((36, 48), np.uint8)).save(tmp_path / "c.jpg")
-    assert dji_counts(tmp_path / "c.jpg") is None
 
 
 def test_no_contrast_gives_a_picture(small_gray_scene):

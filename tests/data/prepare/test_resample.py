@@ -4,7 +4,7 @@ import pytest
 
 from tdgbench.data.prepare.resample import from_file, inside_photo, make_grid, no_distortion, same_view
 from tdgbench.scenes import SceneError
-from tdgbench.scenes.radiometric import PhotoMapping
+from tdgbench.scenes.formats import PhotoMapping
 
 RGB, THERMAL = (320, 240), (160, 120)
 
