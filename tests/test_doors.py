@@ -13,8 +13,8 @@ from tests.helpers.paths import ROOT
 BUILT_IN = {"open", "exec", "eval", "compile", "__import__"}
 NAMES = {"import_module", "instantiate", "get_class", "get_object", "get_method", "loadtxt", "genfromtxt", "fromfile",
          "memmap", "read_csv", "read_parquet", "read_pickle", "imread", "ZipFile", "InferenceSession", "Reconstruction",
-         "load_state_dict_from_url", "Popen", "check_output", "system", "Unpickler", "read_text", "read_bytes",
-         "open"}  # fmt: skip
+         "load_state_dict_from_url", "TiffFile", "png_decode", "Popen", "check_output", "system", "Unpickler",
+         "read_text", "read_bytes", "open"}  # fmt: skip
 WHOLE = {"np.load", "torch.load", "onnx.load", "OmegaConf.load", "subprocess.run", "pickle.load", "pickle.loads"}
 SAFE = {"os.open", "webbrowser.open"}  # of our own log files; of an address that we print
 
@@ -23,6 +23,7 @@ CHOSEN = "what the user asks to run: configuration, plug-ins, networks, programs
 OPENED = "what `tdgbench.files` has opened and the code here has checked: data, packs, records, models"
 NAMED = "a file that the command line or torch's cache names; never a record"
 DOORS = {
+    "tdgbench/archives.py": {"zipfile.ZipFile": OPENED, "archive.open": OPENED},
     "tdgbench/bench/cell_phases.py": {"instantiate": CHOSEN},
     "tdgbench/bench/environment.py": {"path.read_bytes": OURS, "subprocess.run": "git, in tdgbench's checkout"},
     "tdgbench/bench/known_classes.py": {
@@ -34,16 +35,9 @@ DOORS = {
     "tdgbench/bench/setup.py": {"instantiate": CHOSEN},
     "tdgbench/bench/signature.py": {"OmegaConf.load": OURS},
     "tdgbench/children.py": {"subprocess.Popen": CHOSEN},
-    "tdgbench/data/check/model.py": {"pycolmap.Reconstruction": OPENED},
     "tdgbench/data/command.py": {"importlib.import_module": "a name of a table of ours"},
     "tdgbench/data/export/command.py": {"instantiate": CHOSEN},
-    "tdgbench/data/get/archives.py": {
-        "zipfile.ZipFile": OPENED,
-        "archive.open": OPENED,
-        "tarfile.open": OPENED,
-        "member.open": OPENED,
-    },
-    "tdgbench/data/get/listing.py": {"target.open": OURS},
+    "tdgbench/data/get/sources.py": {"target.open": OURS},
     "tdgbench/data/poses/metashape.py": {"zipfile.ZipFile": OPENED},
     "tdgbench/data/prepare/capture.py": {"np.load": OURS},
     "tdgbench/data/prepare/known_poses.py": {"pycolmap.Reconstruction": OURS, "pycolmap.Database.open": OURS},
@@ -56,13 +50,13 @@ DOORS = {
     "tdgbench/experiments/stress/training.py": {"instantiate": CHOSEN},
     "tdgbench/experiments/sweep/plan.py": {"instantiate": CHOSEN},
     "tdgbench/experiments/thermal_camera.py": {"instantiate": CHOSEN},
-    "tdgbench/packs/read.py": {"zipfile.ZipFile": OPENED, "archive.open": OPENED},
     "tdgbench/priors/onnx.py": {"onnx.load": NAMED, "onnxruntime.InferenceSession": NAMED},
     "tdgbench/priors/prior.py": {"zipfile.ZipFile": OPENED, "np.load": OPENED},
     "tdgbench/scenes/colmap/model.py": {"pycolmap.Reconstruction": "nothing: an empty model that is written"},
-    "tdgbench/scenes/images.py": {"Image.open": OPENED},
+    "tdgbench/scenes/formats/flir.py": {"Image.open": OPENED},
+    "tdgbench/scenes/formats/pictures.py": {"Image.open": OPENED, "imagecodecs.png_decode": OPENED},
+    "tdgbench/scenes/formats/tiff.py": {"TiffFile": OPENED},
     "tdgbench/scenes/inputs.py": {"np.load": OPENED},
-    "tdgbench/scenes/radiometric.py": {"Image.open": OPENED},
     "tdgbench/scenes/synthetic/dataset.py": {"p.read_bytes": OURS},
     "tdgbench/scenes/synthetic/truth.py": {"np.load": OPENED},
     "tdgbench/scoring/backbones.py": {

@@ -1,9 +1,10 @@
 """Input: scenes, views, cameras, sparse points; a loader per data set. Imports nothing of tdgbench but `text`."""
 
+from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.datasets import Dataset, FolderDataset, RegisteredDataset
 from tdgbench.scenes.errors import MissingScenesError, SceneError
 from tdgbench.scenes.options import Description, ReadOptions
-from tdgbench.scenes.scene import Camera, PointCloud, Scene, TemperatureRange, View
+from tdgbench.scenes.scene import PointCloud, Scene, TemperatureRange, View
 
 __all__ = [
     "Camera",

@@ -105,9 +105,3 @@ def resize(image: np.ndarray, width: int, height: int, method: Image.Resampling 
         method = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
     planes = [Image.fromarray(np.ascontiguousarray(image[..., c])) for c in range(image.shape[2])]
     return np.stack([np.asarray(plane.resize((width, height), method)) for plane in planes], axis=-1)
-
-
-def storage(path: Path) -> str:  # TEMPORARY
-    from tdgbench.scenes.formats import header
-
-    return header(path, as_picture=True).depth

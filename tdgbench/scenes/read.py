@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats import Header, header
@@ -19,7 +20,8 @@ from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
 from tdgbench.scenes.layouts.layout import Mask, by_view, find_images
 from tdgbench.scenes.options import Description, ReadOptions, split_names
-from tdgbench.scenes.scene import Camera, Scene, View, read_map
+from tdgbench.scenes.registry import sensor_of
+from tdgbench.scenes.scene import Scene, View, read_map
 from tdgbench.scenes.thermal import thermal_images
 from tdgbench.scenes.validate import check_camera
 from tdgbench.scenes.view_images import ImageSource, ThermalImages, native_camera, resample
@@ -87,6 +89,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         model=scene_files.model,
         assumed={
             **({"layout": f"{layout.title}: {layout.looks}"} if detected else {}),
+            **sensor_of(description.dataset, description.scene),
             **scene_files.assumed, **_about_sizes(sources, options), **_about_lenses(scene_files.posed, names),
         },
     )  # fmt: skip

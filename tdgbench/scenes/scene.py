@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,60 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import read_array
-
-MAX_STEP = 1e-3  # largest step between float32 coordinates, as a share of the scene's extent
-
-
-@dataclass(frozen=True)
-class Camera:
-    """A pinhole camera in OpenCV axes: x right, y down, z forward. Pixel centres are at integers + 1/2.
-
-    >>> camera = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(4), width=64, height=48)
-    >>> camera.project(np.array([[0.5, 0.25, 2.0]]))
-    (array([[25. , 12.5]]), array([2.]))
-    >>> camera.resized(32, 24).K.diagonal()
-    array([50., 50.,  1.])
-    """
-
-    K: np.ndarray  # (3, 3) float64, px
-    world_to_camera: np.ndarray  # (4, 4) float64, rigid
-    width: int  # px
-    height: int  # px
-
-    @property
-    def center(self) -> np.ndarray:
-        """Position (3,) in world coordinates."""
-        return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
-
-    def resized(self, width: int, height: int) -> Camera:
-        """Return the camera of the same image resampled to width × height px."""
-        scale = np.diag([width / self.width, height / self.height, 1.0])
-        return Camera(scale @ self.K, self.world_to_camera, width, height)
-
-    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return pixels (N, 2) as (x, y) and depths z (N,) in world units, of world points (N, 3)."""
-        local = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
-        z = local[:, 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            pixels = local[:, :2] / z[:, None] * self.K[[0, 1], [0, 1]] + self.K[:2, 2]
-        return pixels, z
-
-    def shows(self, points: np.ndarray) -> np.ndarray:
-        """Return which of the world points (N, 3) lie in front of the camera and in its image, (N,) bool."""
-        return self.holds(*self.project(points))
-
-    def holds(self, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return which projected points, at pixels (N, 2) and depths z (N,), lie in the image, (N,) bool."""
-        return (z > 0) & (pixels >= 0).all(axis=1) & (pixels < [self.width, self.height]).all(axis=1)
-
-
-def pose_at(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Return world to camera (4, 4) of a camera at a position (3,) with a rotation (3, 3) from the world to it."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, -rotation @ position
-    return pose
+from tdgbench.scenes.outliers import outlying
 
 
 class Tracks(NamedTuple):
@@ -197,6 +147,8 @@ class Scene:
     raw_count_range: tuple[int, int] | None = None  # raw counts of the image values 0 and 1, of images without °C
     assumed: dict[str, str] = field(default_factory=dict)  # how its files were read where they could be read otherwise
     doubts: list[str] = field(default_factory=list)  # of its cameras and points; each names a view and a remedy
+    model: Path | None = None  # folder of its COLMAP model
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of its world, in that of its files
 
     def fingerprint_with(self, *changes: bytes) -> str:
         """Return the fingerprint of the scene with changed images. changes: all that the change depends on."""
@@ -211,27 +163,28 @@ class Scene:
         return sorted([*self.train, *self.test], key=lambda view: view.name)
 
     @cached_property
-    def extent(self) -> float:
-        """`extent_of` the training views.
+    def outliers(self) -> frozenset[str]:
+        """Names of the views whose cameras are `outlying`; they count in no extent."""
+        views = self.views
+        found = outlying([view.camera for view in views], None if self.points is None else self.points.points)
+        return frozenset(view.name for view, is_out in zip(views, found, strict=True) if is_out)
 
-        Raises SceneError if it is zero, or if float32 coordinates are too coarse for it.
+    @cached_property
+    def centers(self) -> np.ndarray:
+        """Positions (N, 3) of the training cameras, without outliers."""
+        train = [view.camera.center for view in self.train if view.name not in self.outliers]
+        return np.stack(train or [view.camera.center for view in self.train])
+
+    @cached_property
+    def extent(self) -> float:
+        """3DGS's scene extent in world units: 1.1 × the largest distance of a training camera from their mean.
+
+        Raises SceneError if it is zero.
         """
-        extent = extent_of(self.train)
-        farthest = float(np.abs([view.camera.center for view in self.train]).max())
-        if extent <= 1e-9 * max(farthest, 1.0):
+        centers = self.centers
+        extent = float(1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
+        if extent <= 1e-9 * max(np.abs(centers).max(), 1.0):
             raise SceneError(
                 f"{self.name}: its {len(self.train)} training cameras stand in one place; move the camera between views"
             )
-        step = float(np.spacing(np.float32(farthest)))
-        if step > MAX_STEP * extent:
-            raise SceneError(
-                f"{self.name}: its cameras lie up to {farthest:.3g} from the origin, where float32 has a resolution of "
-                f"{step:.1g}, but the scene's extent is {extent:.3g}; subtract an offset from cameras and points"
-            )
         return extent
-
-
-def extent_of(views: Sequence[View]) -> float:
-    """Return 3DGS's scene extent in world units: 1.1 × the largest distance of a camera from their mean."""
-    centers = np.stack([view.camera.center for view in views])
-    return float(1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())

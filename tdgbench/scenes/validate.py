@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.scene import Camera
 
 MAX_PIXELS = 89_478_485  # of an image; Pillow's limit against decompression bombs (Image.MAX_IMAGE_PIXELS)
 FIELD_OF_VIEW = (1.0, 179.0)  # degrees; a pinhole has less than 180, COLMAP drops less than 5.7

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats import Header, decode
 from tdgbench.scenes.images import is_gray, resize, unit_image, with_channels
 from tdgbench.scenes.layouts.layout import Mask
-from tdgbench.scenes.scene import Camera, TemperatureRange
+from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 
 ASPECT_TOLERANCE = 0.01

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -62,6 +62,7 @@ class Method:
     renders_plain_gaussians: bool = True  # of the modality's name, as they are: no hooks, no networks
     needs_prior: bool = False  # whether `context.priors` has a depth prior per training view, for a loss of depth
     trains: bool = True  # False: what it renders was made elsewhere; it is set up and makes no step
+    notes: Sequence[str] = ()  # of `setup`, for the record and the terminal
 
     def setup(self, context: Context) -> None:
         """Make the parts; called once, before the first step."""

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from tdgbench.bench.colours import in_colour
 from tdgbench.scenes import Camera
-from tdgbench.scenes.scene import pose_at
+from tdgbench.scenes.camera import pose_at
+from tdgbench.scenes.outliers import outlying
 from tdgbench.view.cells import ViewedCell
 
 if TYPE_CHECKING:
@@ -87,6 +88,7 @@ def focus(cameras: Iterable[Camera]) -> np.ndarray:
 
     Parallel axes have none: then it is one unit in front of the cameras' mean position.
     """
+    cameras = _standing(cameras)
     centers = np.stack([camera.center for camera in cameras])
     axes = np.stack([camera.world_to_camera[2, :3] for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # (N, 3, 3) projections along the axes
@@ -94,6 +96,12 @@ def focus(cameras: Iterable[Camera]) -> np.ndarray:
     if np.linalg.cond(total) > 1e6:
         return centers.mean(axis=0) + axes.mean(axis=0)
     return np.linalg.solve(total, (across @ centers[:, :, None]).sum(axis=0)[:, 0])
+
+
+def _standing(cameras: Iterable[Camera]) -> list[Camera]:
+    """Return cameras without outlying ones."""
+    cameras = list(cameras)
+    return [camera for camera, is_out in zip(cameras, outlying(cameras), strict=True) if not is_out]
 
 
 class Frustums:
@@ -131,7 +139,7 @@ class Frustums:
 
 def size_of(cell: ViewedCell) -> float:
     """Return the size of the frustums in world units."""
-    cameras = list(cell.cameras.values())
+    cameras = _standing(cell.cameras.values())
     centers = np.stack([camera.center for camera in cameras])
     return SIZE * float(np.linalg.norm(centers - focus(cameras), axis=1).mean())
 

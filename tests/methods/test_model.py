@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +139,48 @@ def test_faulty_files_are_errors_that_name_them(small_scene, cloud, tmp_path):
 def test_a_second_file_beside_one_that_holds_both_is_refused(small_scene, tmp_path):
     with pytest.raises(Exception, match="leave it out"):
         trainer_of(small_scene, ply=tmp_path / "a.ply", rgb=tmp_path / "b.ply", fields="ommg")
+
+
+@pytest.fixture
+def gray(cloud) -> Gaussians:
+    """Return the cloud in gray."""
+    return Gaussians(**{**dict(cloud.items()), "sh": cloud.sh[..., :1]})
+
+
+def shown_by(scene, cloud: Gaussians):
+    """Return a scene whose images are those of a model."""
+
+    def view_of(view):
+        return view.with_thermal(render_model(cloud, view.camera).image.clamp(0, 1).numpy())
+
+    return replace(scene, train=[view_of(view) for view in scene.train], test=[view_of(view) for view in scene.test])
+
+
+@pytest.mark.parametrize(("turned", "scale"), [(False, 1.0), (True, 0.2355), (True, 1.0), (False, 0.5)])
+def test_a_model_in_another_world_is_noted(small_gray_scene, gray, tmp_path, turned, scale):
+    x, y, z = gray.means.T
+    means = scale * (torch.stack([x, -z, y], dim=1) if turned else gray.means)
+    moved = {"means": means, "log_scales": gray.log_scales + np.log(scale)}
+    save_ply(Gaussians(**{**dict(gray.items()), **moved}), tmp_path / "a.ply")
+    notes = trainer_of(shown_by(small_gray_scene, gray), ply=tmp_path / "a.ply").method.notes
+    assert len(notes) == (turned or scale != 1)
+    assert all(note.startswith("a.ply does not lie where the cameras look: of 8 thermal renders") for note in notes)
+
+
+def test_the_note_is_in_the_record(run, gray, tmp_path):
+    save_ply(replace(gray, means=gray.means + 100), tmp_path / "a.ply")
+    assert any("does not lie where" in note for note in run("model", ply=tmp_path / "a.ply")[1].notes)
+
+
+@pytest.mark.parametrize("of_files", [True, False])
+def test_a_model_is_moved_with_the_origin_of_its_scene(small_gray_scene, gray, tmp_path, of_files):
+    """One that was trained here already lies about the scene's origin."""
+    origin = (4096.0, -512.0, 64.0)
+    means = torch.round(gray.means * 256) / 256  # float32 has these numbers at the origin of the files, too
+    save_ply(replace(gray, means=means + torch.tensor(origin) if of_files else means), tmp_path / "a.ply")
+    trainer = trainer_of(replace(small_gray_scene, origin=origin), ply=tmp_path / "a.ply")
+    assert torch.equal(trainer.gaussians["thermal"].gaussians.means.sort(dim=0)[0], means.sort(dim=0)[0])
+    assert sum("moved with the scene" in note for note in trainer.method.notes) == of_files
 
 
 def test_the_model_is_shown_by_the_viewer(run, cloud, tmp_path):

@@ -54,7 +54,11 @@ def test_each_image_is_hashed_once_and_read_once(small_gray_scene, tmp_path, ope
             assert view.thermal is view.thermal and view.valid is view.valid
             assert view.load_rgb is None or view.rgb is view.rgb
     images = [path for path in folder.rglob("*") if path.suffix in (".png", ".jpg", ".npy") and path.stem != "lost"]
-    used = [path for path in images if path.parent.name != "masks" or not any("10 masks belong" in note for note in scene.notes)]
+    used = [
+        path
+        for path in images
+        if path.parent.name != "masks" or not any("10 masks belong" in note for note in scene.notes)
+    ]
     assert len(used) > 18
     shown = {view.thermal_path for view in scene.views}
     assert {path: opened[str(path)] for path in used} == {

@@ -7,19 +7,11 @@ from PIL import Image
 from tdgbench.data.prepare.prepare import write_view
 from tdgbench.scenes import SceneError
 from tests.helpers.layouts import celsius, write_model, write_thermalmix
+from tests.helpers.layouts import write_stored as write
 from tests.helpers.scenes import load
 
 LOWEST, STEP = 5500, 0.08  # counts, °C of one
 FRAME = np.arange(48) < 6  # columns that a warp has left empty
-
-
-def write(scene, folder, stored, suffix=".tiff"):
-    """A scene whose thermal images are what `stored` makes of a view's temperatures (H, W)."""
-    write_model(scene, folder / "sparse" / "0", "PINHOLE", ".png")
-    (folder / "thermal").mkdir()
-    for view in scene.views:
-        Image.fromarray(stored(celsius(view, scene))).save(folder / "thermal" / f"{view.name}{suffix}")
-    return folder
 
 
 def counts(degC):

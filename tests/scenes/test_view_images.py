@@ -7,8 +7,8 @@ from PIL import Image
 from scipy.ndimage import map_coordinates
 
 from tests.helpers.layouts import write_model
+from tests.helpers.layouts import write_stored as write
 from tests.helpers.scenes import load
-from tests.scenes.test_thermal import write
 
 TIMES = 4
 

@@ -7,7 +7,7 @@ import pytest
 from hydra.utils import instantiate
 
 from tdgbench.scenes import Camera
-from tdgbench.scenes.scene import pose_at
+from tdgbench.scenes.camera import pose_at
 from tdgbench.training.budget import HarmonicsRule
 from tdgbench.training.harmonics import are_learned_soon, viewing_angle
 from tdgbench.training.images import THERMAL

@@ -17,7 +17,8 @@ from tdgbench.scenes.options import SPLITS
 from tdgbench.terminal import console, printable, say
 from tdgbench.text import one_line
 
-COLORS = {"ok": "green", "missing": "yellow", "broken": "red"}
+COLORS = {"ok": "green", "doubtful": "yellow", "missing": "yellow", "broken": "red"}
+USABLE = ("ok", "doubtful")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Check the scenes in a folder. Exit status 0 if all that should be there can be used, else 1."""
+    """Check the scenes in a folder. Exit status 0 if all that should be there are ok, else 1."""
     place = find_place(arguments.root, arguments.split)
     exists = is_there(arguments.root)
     if not exists:
@@ -48,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def print_table(root: Path, checks: list[SceneCheck]) -> None:
-    """Print one row per scene, then problems and notes, one line each."""
+    """Print one row per scene, then problems, doubts, notes and what was assumed, one line each."""
     table = Table(title=f"Scenes in {printable(str(root))}", title_justify="left")
     for heading in ("scene", "layout", "views", "split", "size", "ch", "range", "masked", "edges, px", "status"):
         table.add_column(heading, overflow="fold")
@@ -58,10 +59,12 @@ def print_table(root: Path, checks: list[SceneCheck]) -> None:
     for check in checks:
         for problem in check.problems:
             say(f"{check.name}: {one_line(problem)}", check.status, COLORS[check.status])
-        for note in check.notes:
+        for doubt in check.doubts:
+            say(f"{check.name}: {one_line(doubt)}", "doubtful", COLORS["doubtful"])
+        for note in [*check.notes, *(f"assumed {key}: {line}" for key, line in check.assumed.items())]:
             say(f"{check.name}: {one_line(note)}", "note", "dim")
-    usable = sum(check.status == "ok" for check in checks)
-    say(f"{usable} of {len(checks)} scenes can be used")
+    usable, doubtful = (sum(check.status in among for check in checks) for among in (USABLE, USABLE[1:]))
+    say(f"{usable} of {len(checks)} scenes can be used" + (f", {doubtful} of them with doubts" if doubtful else ""))
 
 
 def _row(check: SceneCheck) -> list[str]:
@@ -103,10 +106,10 @@ def checks_as_json(root: Path, checks: list[SceneCheck], is_paper: bool) -> str:
         scenes.append({**asdict(check), **edges})
     return json.dumps(
         {
-            "format": 3,
+            "format": 4,
             "root": str(root),
             "scenes_of": "paper" if is_paper else "folder",
-            "usable": all(check.status == "ok" for check in checks),
+            "usable": all(check.status in USABLE for check in checks),
             "scenes": scenes,
         },
         indent=1,

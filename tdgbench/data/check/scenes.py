@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -15,10 +15,9 @@ from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_o
 from tdgbench.data.check.model import wrong_views
 from tdgbench.scenes import Dataset, FolderDataset, ReadOptions, RegisteredDataset, Scene, SceneError, registry
 from tdgbench.scenes.datasets import FolderLayout, outline_of
-from tdgbench.scenes.images import SUFFIXES, read_pixels
+from tdgbench.scenes.formats import SUFFIXES, decode
 from tdgbench.scenes.inputs import is_folder, is_hidden, listed
-from tdgbench.scenes.layouts import detect, plain, thermalmix
-from tdgbench.scenes.layouts.layout import model_folder
+from tdgbench.scenes.layouts import detect
 from tdgbench.scenes.registry import plain_name
 
 MOST_PROBLEMS = 20  # of a scene, in words
@@ -31,12 +30,12 @@ class SceneCheck:
     sizes_px: (width, height) of the views. temperature_degC:
     of image values 0 and 1. counts: raw counts of them, of scenes without °C. masked_share: of the thermal pixels.
     edge_offset: of thermal from RGB edges, or why it is not known. problems: what is missing or broken, with the
-    remedy; a scene without one can be used.
+    remedy; a scene without one can be used. doubts: what is probably wrong. assumed: how files were read, by key.
     """
 
     name: str
     dataset: str
-    status: Literal["ok", "missing", "broken"] = "ok"
+    status: Literal["ok", "doubtful", "missing", "broken"] = "ok"
     folder: str | None = None
     layout: str | None = None
     views: int = 0
@@ -51,6 +50,8 @@ class SceneCheck:
     points: int | None = None
     edge_offset: Offset | str | None = None
     problems: list[str] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)
+    assumed: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
 
@@ -128,7 +129,7 @@ def _examine(dataset: Dataset, check: SceneCheck) -> None:
             _ = scene.extent
     except SceneError as error:
         check.problems.append(str(error))
-    check.status = "broken" if check.problems else "ok"
+    check.status = "broken" if check.problems else "doubtful" if check.doubts else "ok"
     check.problems = check.problems[:MOST_PROBLEMS]
 
 
@@ -146,6 +147,7 @@ def _describe(scene: Scene, check: SceneCheck) -> None:
     check.counts = scene.raw_count_range
     check.masked_share = float(np.mean([0.0 if view.valid is None else 1 - view.valid.mean() for view in views]))
     check.views_with_rgb = sum(view.load_rgb is not None for view in views)
+    check.doubts, check.assumed = scene.doubts, scene.assumed
     check.notes += scene.notes
     if check.views_with_rgb < len(views):
         check.notes.append(
@@ -158,8 +160,7 @@ def _describe(scene: Scene, check: SceneCheck) -> None:
 
 def _check_model(scene: Scene, check: SceneCheck) -> None:
     """Add the views whose camera is wrong; where most are, the cameras may have been edited, which is noted."""
-    place = None if scene.folder is None else model_folder(scene.folder, (*thermalmix.MODELS, *plain.MODELS))
-    wrong = [] if place is None else wrong_views(place)
+    wrong = [] if scene.model is None else wrong_views(scene.model)
     if len(wrong) <= len(scene.views) / 2:
         check.problems += wrong
     else:
@@ -189,11 +190,11 @@ def _find_broken_images(scene: Scene, check: SceneCheck) -> None:
     for view in scene.views:
         path = view.thermal_path
         if path is not None and path.suffix.lower() in SUFFIXES and str(path) not in said:
-            _read(partial(read_pixels, path), check)
+            _read(partial(decode, path), check)
         _read(view.load_rgb, check)
 
 
-def _read(load: Callable[[], np.ndarray] | None, check: SceneCheck) -> np.ndarray | None:
+def _read(load: Callable[[], Any] | None, check: SceneCheck) -> Any:
     """Read an image, if there is one; None, and a problem, if it cannot be read."""
     try:
         return None if load is None else load()

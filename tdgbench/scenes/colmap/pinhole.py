@@ -8,9 +8,9 @@ import numpy as np
 import pycolmap
 from scipy.ndimage import map_coordinates
 
+from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.scene import Camera
 from tdgbench.scenes.validate import check_intrinsics, check_size
 
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")

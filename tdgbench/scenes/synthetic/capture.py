@@ -20,8 +20,8 @@ from pydantic import Field, NonNegativeInt
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from tdgbench.scenes.camera import Camera, pose_at
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.scene import Camera, pose_at
 
 NOISE_DEGC = 0.05  # noise-equivalent temperature difference of an uncooled camera
 STREAM = 16  # of random numbers, so that errors do not change a scene's other draws

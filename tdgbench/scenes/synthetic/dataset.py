@@ -16,6 +16,7 @@ import numpy as np
 from PIL import Image
 from pydantic import Field, NonNegativeInt
 
+from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.datasets import Outlines
 from tdgbench.scenes.errors import SceneError
@@ -23,7 +24,7 @@ from tdgbench.scenes.inputs import check_scene_name
 from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
 from tdgbench.scenes.read import Outline, outline_scene
-from tdgbench.scenes.scene import Camera, PointCloud
+from tdgbench.scenes.scene import PointCloud
 from tdgbench.scenes.synthetic.capture import CaptureErrors, Encoding, TrueCamera, TrueRig, levels, limits
 from tdgbench.scenes.synthetic.render import World, look_at, render_world
 from tdgbench.scenes.synthetic.truth import CameraTruth, write_rig, write_truth

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tdgbench.scenes.camera import Camera, pose_at
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.scene import Camera, pose_at
 from tdgbench.scenes.synthetic.capture import TrueRig
 from tdgbench.scenes.synthetic.surfaces import Material, Patches, Solid
 

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 from PIL import Image
@@ -48,6 +49,22 @@ def test_missing_and_broken_scenes_are_status_1(tmp_path, small_gray_scene):
     assert "broken a[bold]b: " in run.stdout and "temperature.json must hold" in run.stdout
 
 
+def test_doubts_and_assumptions_are_shown_and_are_status_1(tmp_path, small_gray_scene):
+    (view,) = [view for view in small_gray_scene.train if view.name == "view003"]
+    pose = view.camera.world_to_camera + 2000 * np.eye(4, k=3)
+    others = [other for other in small_gray_scene.train if other is not view]
+    far = replace(view, camera=replace(view.camera, world_to_camera=pose))
+    write_rgbt_scenes(replace(small_gray_scene, train=[far, *others]), tmp_path / "data" / "a")
+    run = tdgbench_here(tmp_path, "data", "check", "data")
+    assert run.returncode == 1 and "1 of 1 scenes can be used, 1 of them with doubts" in run.stdout
+    assert "doubtful a: view view003: the camera stands " in run.stdout and " doubtful │" in run.stdout
+    assert "note a: assumed size: 48×36 px" in run.stdout
+    content = json.loads(tdgbench_here(tmp_path, "data", "check", "data", "--json").stdout)
+    (scene,) = content["scenes"]
+    assert content["usable"] and scene["status"] == "doubtful" and not scene["problems"]
+    assert len(scene["doubts"]) == 1 and scene["assumed"]["size"].startswith("48×36 px")
+
+
 def test_a_capture_without_a_layout_is_told_the_layouts_and_not_the_papers_scenes(tmp_path):
     (tmp_path / "data" / "roof" / "rgb").mkdir(parents=True)
     run = tdgbench_here(tmp_path, "data", "check", "data")
@@ -59,7 +76,7 @@ def test_json_has_the_documented_keys(tmp_path, small_gray_scene):
     write_rgbt_scenes(small_gray_scene, tmp_path / "data" / "RGBT-Scenes" / "Truck")
     run = tdgbench_here(tmp_path, "data", "check", "data", "--json")
     content = json.loads(run.stdout)
-    assert run.returncode == 1 and content["format"] == 3 and content["scenes_of"] == "paper" and not content["usable"]
+    assert run.returncode == 1 and content["format"] == 4 and content["scenes_of"] == "paper" and not content["usable"]
     truck = next(scene for scene in content["scenes"] if scene["name"] == "Truck")
     assert (truck["status"], truck["views"], truck["sizes_px"]) == ("ok", 10, [[48, 36]])
     page = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
