@@ -8,6 +8,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 from tdgbench.scenes import registry
 from tdgbench.scenes.errors import MissingScenesError, SceneError
+from tdgbench.scenes.geometry import judged
 from tdgbench.scenes.inputs import check_scene_name, is_folder, is_hidden, is_there, listed, utf8_name
 from tdgbench.scenes.layouts import LAYOUTS, detect
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
@@ -56,7 +57,7 @@ def outline_of(dataset: Dataset, name: str | None) -> Outline:
     """Return the outline of a scene, else the scene itself. Raises MissingScenesError or SceneError."""
     if isinstance(dataset, Outlines):
         return dataset.outline(name)
-    scene = dataset.load(name)
+    scene = judged(dataset.load(name))
     return Outline(scene, lambda: scene)
 
 

@@ -32,6 +32,7 @@ SAME_PLACE = 0.9  # of the views, in which a pixel is in a filled region
 OVERLAP = 0.5  # of a filled region, that lies in the place that most views share
 FEWEST_VIEWS = 3  # from which a shared place says something
 MOST_CANDIDATES = 4  # values of a view's border that are tried; a warp has one or two
+ROUNDING = 1e-3  # °C; dji-thermal-cli 1.4.0 writes float32 -273.15, which is above it, where nothing was measured
 ZERO = 0.0  # °C, OpenCV's and scipy's default outside the source of a warp
 NEIGHBOURS = np.ones((3, 3), bool)
 
@@ -90,7 +91,7 @@ def grown(filled: np.ndarray, block: int = 1) -> np.ndarray:
 def impossible(degC: np.ndarray) -> np.ndarray:
     """Return pixels (H, W) bool that are NaN, infinite, at or below absolute zero, or above what cameras measure."""
     with np.errstate(invalid="ignore"):
-        return ~((degC > TEMPERATURES[0]) & (degC <= TEMPERATURES[1]))
+        return ~((degC > TEMPERATURES[0] + ROUNDING) & (degC <= TEMPERATURES[1]))
 
 
 def connected_to_border(pixels: np.ndarray) -> np.ndarray:

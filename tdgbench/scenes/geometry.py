@@ -27,6 +27,12 @@ MOST_KINDS = 3  # of cameras in words
 MAX_ERROR = 3e-3  # px; trained on facade, 0.003 px cost 0.01 dB, 0.012 px 0.5 dB
 
 
+def judged(scene: Scene) -> Scene:
+    """Return the scene near its origin, with its doubts."""
+    scene = near_origin(scene)
+    return replace(scene, doubts=[*scene.doubts, *doubts_of(scene)])
+
+
 def near_origin(scene: Scene) -> Scene:
     """Return the scene with its origin between its cameras if float32 coordinates about the files' are too coarse.
 
@@ -81,7 +87,7 @@ def doubts_of(scene: Scene) -> list[str]:
     cameras = [view.camera for view in views]
     sight = sight_of(cameras, sample_of(points))
     found = [_about_outliers(scene), _about_fields_of_view(views), _about_lenses(views)]
-    if points is not None and len(points):
+    if points is not None and len(points) >= FEWEST_SEEN:
         found += [_about_blind(views, points, sight), _about_lost(cameras, points, sight)]
     errors = pixel_errors(cameras, points, sight)
     if errors.max() > MAX_ERROR:

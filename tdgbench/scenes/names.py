@@ -17,11 +17,11 @@ from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import check_view_name
 from tdgbench.text import first_few
 
-_PNG, _FLIR, _VIDEO = "PNG", "radiometric JPEG or float TIFF with FLIR's software", "frames in PNG"
+_PNG, _FLIR, _VIDEO = "PNG", "float TIFF in °C, as by flirpy's Splitter or FLIR's software", "frames in PNG"
 UNREAD = {
     **dict.fromkeys((".heic", ".heif", ".avif", ".gif", ".jp2", ".j2k", ".jxl", ".pgm", ".ppm", ".exr", ".jfif"), _PNG),
     **dict.fromkeys((".dng", ".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2"), _PNG),
-    **dict.fromkeys((".seq", ".csq", ".fff"), _FLIR),
+    **dict.fromkeys((".seq", ".csq", ".fff", ".tmc", ".tfc"), _FLIR),
     **dict.fromkeys((".mp4", ".mov", ".avi"), _VIDEO),
 }  # files of pixels that are not read, by suffix, and what to convert them to
 _EXTENSIONS = {*SUFFIXES, *UNREAD, ".npy"}

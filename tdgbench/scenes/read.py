@@ -14,7 +14,7 @@ from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats import Header, header
-from tdgbench.scenes.geometry import doubts_of, near_origin
+from tdgbench.scenes.geometry import judged
 from tdgbench.scenes.images import read_image, with_channels
 from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
@@ -93,8 +93,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
             **scene_files.assumed, **_about_sizes(sources, options), **_about_lenses(scene_files.posed, names),
         },
     )  # fmt: skip
-    scene = near_origin(scene)
-    scene.doubts += doubts_of(scene)
+    scene = judged(scene)
     published = layout.published(description.scene)
     return Outline(scene, lambda: _with_images(scene, thermal_images(scene_files, sources, train, options, published)))
 

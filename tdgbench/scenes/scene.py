@@ -16,6 +16,8 @@ from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import read_array
 from tdgbench.scenes.outliers import outlying
 
+MAX_STEP = 1e-3  # largest step between float32 coordinates, as a share of the scene's extent
+
 
 class Tracks(NamedTuple):
     """Which images see which points: a row per observation.
@@ -179,12 +181,20 @@ class Scene:
     def extent(self) -> float:
         """3DGS's scene extent in world units: 1.1 × the largest distance of a training camera from their mean.
 
-        Raises SceneError if it is zero.
+        Raises SceneError if it is zero, or if float32 coordinates are too coarse for it; `geometry.near_origin` moves
+        the scenes of files.
         """
         centers = self.centers
         extent = float(1.1 * np.linalg.norm(centers - centers.mean(axis=0), axis=1).max())
         if extent <= 1e-9 * max(np.abs(centers).max(), 1.0):
             raise SceneError(
                 f"{self.name}: its {len(self.train)} training cameras stand in one place; move the camera between views"
+            )
+        farthest = float(np.abs(centers).max())
+        step = float(np.spacing(np.float32(farthest)))
+        if step > MAX_STEP * extent:
+            raise SceneError(
+                f"{self.name}: its cameras lie up to {farthest:.3g} from the origin, where float32 has a resolution of "
+                f"{step:.1g}, but the scene's extent is {extent:.3g}; subtract an offset from cameras and points"
             )
         return extent

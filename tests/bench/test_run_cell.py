@@ -15,7 +15,7 @@ from tdgbench.bench.renders import render_views
 from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.stored import hashes_of_content
 from tdgbench.scenes import view_images
-from tdgbench.scenes.images import read_image
+from tdgbench.scenes.formats import decode
 from tdgbench.splats.ply import load_ply
 from tests.helpers.cells import run_quietly
 from tests.helpers.configs import SMALL, config
@@ -195,7 +195,7 @@ def test_a_cell_that_is_kept_decodes_no_image(run, small_scene, tmp_path, monkey
     progress = CellProgress(Console(quiet=True), 2)
     assert run_cell(plain, "", progress).status == "ok"
     decoded = []
-    monkeypatch.setattr(view_images, "read_image", lambda path, *rest: decoded.append(path) or read_image(path, *rest))
+    monkeypatch.setattr(view_images, "decode", lambda path, **how: decoded.append(path) or decode(path, **how))
     assert run_cell(plain, "", progress).status == "kept" and decoded == []
     shutil.copy(scene / "thermal" / "view006.png", scene / "thermal" / "view007.png")
     again = run_cell(plain, "", progress)

@@ -9,7 +9,10 @@ from tdgbench.scenes.errors import SceneError
 
 EXPORT = "copy it again, or export it as PNG, JPEG, TIFF, BMP, WEBP"
 TO_PNG = "convert it to PNG"
-SPLIT = "a recording of FLIR (SEQ, CSQ, FFF)", "write its frames as radiometric JPEG or float TIFF with FLIR's software"
+SPLIT = (
+    "a recording of FLIR (SEQ, CSQ, FFF)",
+    "write its frames as float TIFF in °C, as by flirpy's Splitter or FLIR's software",
+)
 # By how their content begins.
 KNOWN = {
     rb"FFF\0|AFF\0": SPLIT,

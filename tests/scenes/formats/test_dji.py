@@ -40,7 +40,7 @@ def test_counts_under_pictures_of_their_size_and_of_a_multiple(tmp_path):
 
 
 def test_counts_without_a_scale_name_the_remedy(tmp_path):
-    with pytest.raises(SceneError, match=r"a\.jpg holds counts, which only DJI's SDK .* export it as float TIFF"):
+    with pytest.raises(SceneError, match=r"a\.jpg holds counts, which only DJI's SDK .* write float TIFF"):
         read_celsius(write(tmp_path / "a.jpg", APP3=COUNTS.tobytes()))
     with pytest.raises(SceneError, match=r"b\.jpg has 100 bytes of raw data for 32×24 pixels"):
         decode(write(tmp_path / "b.jpg", APP3=bytes(100)))
