@@ -58,21 +58,18 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
     names, notes = _paired(folder, scene_files.posed, thermal)
     train, test, left_out = _split(folder, names, options.split, scene_files.shipped)
     names = sorted([*train, *test])
-    masks = scene_files.masks
-    sources, cameras = {}, {}
+    masks, rgb = scene_files.masks, scene_files.rgb
+    sources, photos, views = {}, {}, {}
     for name in names:
         found, posed = _header(thermal[name], options.thermal == "shown"), scene_files.posed[name]
-        camera = cameras[name] = _camera(posed, found, options)
-        sources[name] = ImageSource(thermal[name], posed, camera.width, camera.height, masks.get(name), found)
-    views = {name: _make_view(folder, sources[name], cameras[name], scene_files.rgb.get(name)) for name in names}
+        camera = _camera(posed, found, options)
+        source = sources[name] = ImageSource(thermal[name], posed, camera.width, camera.height, masks.get(name), found)
+        if name in rgb:
+            photos[name] = replace(source, path=rgb[name], mask=None, header=_header(rgb[name], as_picture=True))
+        views[name] = _make_view(folder, source, camera, photos.get(name))
     truth = [path for name in names for path in (_truth(folder, "depth", name), _truth(folder, TRUE, name)) if path]
-    files = [
-        *thermal.values(),
-        *scene_files.rgb.values(),
-        *(mask.path for mask in masks.values()),
-        *scene_files.files,
-        *truth,
-    ]
+    hiding = [mask.path for mask in masks.values()]
+    files = [*thermal.values(), *rgb.values(), *hiding, *scene_files.files, *truth]
     scene = Scene(
         name=description.scene,
         dataset=description.dataset,
@@ -90,7 +87,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         assumed={
             **({"layout": f"{layout.title}: {layout.looks}"} if detected else {}),
             **sensor_of(description.dataset, description.scene),
-            **scene_files.assumed, **_about_sizes(sources, options), **_about_lenses(scene_files.posed, names),
+            **scene_files.assumed, **_about_images(sources, photos, options), **_about_lenses(sources.values()),
         },
     )  # fmt: skip
     scene = judged(scene)
@@ -189,37 +186,47 @@ def _camera(posed: RegisteredImage, found: Header | None, options: ReadOptions) 
     return check_camera(camera, f"data.width={options.width}: view {posed.name}")
 
 
-def _about_sizes(sources: Mapping[str, ImageSource], options: ReadOptions) -> dict[str, str]:
-    """Return what images were resized from and to, and by what; and what their files state that is not applied."""
-    known = [source.header for source in sources.values() if source.header is not None]
-    native = {(one.width, one.height) for one in known}
-    cameras = {source.posed.source_size for source in sources.values()}
-    text = f"{_sizes(native)} px, as the files have"
+def _about_images(
+    sources: Mapping[str, ImageSource], photos: Mapping[str, ImageSource], options: ReadOptions
+) -> dict[str, str]:
+    """Return which pixels files have, what they are resampled to and by what, and what they state in vain."""
+    native, cameras = _sizes(sources), _listed({source.posed.source_size for source in sources.values()})
+    used = _listed({(source.width, source.height) for source in sources.values()})
+    by = "area average to shrink, bilinear to grow"
+    size = f"{native} px, as the files have"
     if native != cameras:
-        text += f"; cameras are of {_sizes(cameras)} px, and their intrinsics follow the images"
+        size += f"; cameras are of {cameras} px, and their intrinsics follow the images"
     if options.width is not None:
-        used = _sizes({(source.width, source.height) for source in sources.values()})
-        text += f"; resized to {used} px (data.width): area average to shrink, bilinear to grow"
-    pixels = dict.fromkeys(line for one in known for line in one.assumed)
-    return {"size": text} | ({"pixels": "; ".join(pixels)} if pixels else {})
+        size += f"; resized to {used} px (data.width): {by}"
+    known = [one.header for one in sources.values() if one.header is not None]
+    said = {"size": size, "depth": first_few(sorted({f"{one.depth} {one.format}" for one in known}))}
+    if photos and _sizes(photos) != used:
+        said["rgb"] = f"{_sizes(photos)} px, resampled to {used} px: {by}"
+    for name, images in (("pixels", sources), ("rgb_pixels", photos)):
+        headers = (one.header for one in images.values() if one.header is not None)
+        if stated := dict.fromkeys(line for one in headers for line in one.assumed):
+            said[name] = "; ".join(stated)
+    return said
 
 
-def _sizes(sizes: set[tuple[int, int]]) -> str:
+def _sizes(images: Mapping[str, ImageSource]) -> str:
+    return _listed({(one.header.width, one.header.height) for one in images.values() if one.header is not None})
+
+
+def _listed(sizes: set[tuple[int, int]]) -> str:
     return first_few([f"{width}×{height}" for width, height in sorted(sizes)])
 
 
-def _about_lenses(posed: Mapping[str, RegisteredImage], names: list[str]) -> dict[str, str]:
+def _about_lenses(sources: Iterable[ImageSource]) -> dict[str, str]:
     """Return the lenses whose distortion is removed; nothing for pinholes."""
-    lenses = [posed[name].undistortion for name in names]
-    models = sorted({one.source.model_name for one in lenses if one is not None})
-    return {"lens": f"{', '.join(models)}: distortion removed, bilinear"} if models else {}
+    lenses = {source.posed.undistortion.source.model_name for source in sources if source.posed.undistortion}
+    return {"lens": f"{', '.join(sorted(lenses))}: distortion removed, bilinear"} if lenses else {}
 
 
-def _make_view(folder: Path, source: ImageSource, camera: Camera, rgb: Path | None) -> View:
+def _make_view(folder: Path, source: ImageSource, camera: Camera, photo: ImageSource | None) -> View:
     """Return a view without its thermal image and mask."""
     name = source.posed.name
     degC = _truth(folder, TRUE, name)
-    photo = None if rgb is None else ImageSource(rgb, source.posed, camera.width, camera.height)
     return View(
         name=name,
         camera=camera,

@@ -44,7 +44,10 @@ def test_rgb_images_are_averaged_to_the_thermal_size(small_gray_scene, tmp_path)
     for view in small_gray_scene.views:
         Image.fromarray(levels).save(folder / "rgb" / f"{view.name}.png")
     expected = levels.reshape(36, TIMES, 48, TIMES, 3).mean(axis=(1, 3)) / 255
-    assert np.allclose(load(folder).views[0].rgb, expected, atol=1e-6)
+    scene = load(folder)
+    assert np.allclose(scene.views[0].rgb, expected, atol=1e-6)
+    assert scene.assumed["rgb"].startswith("192×144 px, resampled to 48×36 px: area average")
+    assert scene.assumed["depth"] == "float TIFF"
 
 
 @pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "OPENCV"])
