@@ -63,8 +63,9 @@ def _full_page(source: Source) -> Iterator[tuple[TiffPage, int | None, TiffPage 
             raise SceneError(f"{source.path} holds no picture; export it again")
         area = max(page.imagewidth * page.imagelength for page, _ in pictures)
         full = [one for one in pictures if one[0].imagewidth * one[0].imagelength == area]
-        if len(full) > 1:
-            raise SceneError(f"{source.path} holds {len(full)} pictures; a view is one. Save one of them")
+        stack = int((tiff.imagej_metadata or {}).get("images", 1))  # ImageJ may write one page for all
+        if max(len(full), stack) > 1:
+            raise SceneError(f"{source.path} holds {max(len(full), stack)} pictures; a view is one. Save one of them")
         ((page, number),) = full
         same = (mask for mask in masks if mask.shape[:2] == (page.imagelength, page.imagewidth))
         yield page, number, next(same, None)
