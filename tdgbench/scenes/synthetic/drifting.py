@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from pydantic import NonNegativeInt
@@ -21,15 +21,14 @@ ROOM = 1.0  # °C between the values and the ends of the range
 NOISE = 9  # number of the random stream; those of the camera are others
 
 
+@dataclass(frozen=True, eq=False)
 class DriftingDataset(Outlines):
-    """The scenes of a data set, seen by a thermal camera with errors. The camera is drawn for each scene by the seed.
+    """The scenes of a data set, seen by a thermal camera with errors, which the seed draws for each scene."""
 
-    inner: data set whose images are gray and in °C; they are what an ideal camera would show. errors: of the camera;
-    `encoding=agc` stretches each image on its own. noise_degC: standard deviation of what every pixel adds.
-    """
-
-    def __init__(self, inner: Dataset, errors: ThermalErrors, noise_degC: DegC = 0.0, seed: NonNegativeInt = 0) -> None:
-        self.inner, self.errors, self.noise_degC, self.seed = inner, errors, noise_degC, seed
+    inner: Dataset  # whose images are gray and in °C; they are what an ideal camera would show
+    errors: ThermalErrors
+    noise_degC: DegC = 0.0  # standard deviation of what every pixel adds
+    seed: NonNegativeInt = 0
 
     def names(self) -> list[str]:
         return self.inner.names()
@@ -46,20 +45,19 @@ class DriftingDataset(Outlines):
 
     def outline(self, name: str | None) -> Outline:
         inner, title = outline_of(self.inner, name), self.describe(name).dataset
+        added = json.dumps([asdict(self.errors), self.noise_degC, self.seed], sort_keys=True).encode()
 
-        def read() -> Scene:
-            scene, _ = drifting(inner.read(), self.errors, self.seed, self.noise_degC)
-            return replace(scene, dataset=title, fingerprint=self._fingerprint(scene))
+        def titled(scene: Scene) -> Scene:
+            return replace(scene, dataset=title, fingerprint=scene.fingerprint_with(added))
 
-        return Outline(replace(inner.scene, dataset=title, fingerprint=self._fingerprint(inner.scene)), read)
+        return Outline(titled(inner.scene), lambda: titled(self._drifting(inner.read())[0]))
 
     def truth(self, name: str | None) -> CameraTruth:
         """Return the true camera of a scene."""
-        return drifting(self.inner.load(name), self.errors, self.seed, self.noise_degC)[1]
+        return self._drifting(self.inner.load(name))[1]
 
-    def _fingerprint(self, scene: Scene) -> str:
-        added = json.dumps([asdict(self.errors), self.noise_degC, self.seed], sort_keys=True)
-        return scene.fingerprint_with(added.encode())
+    def _drifting(self, scene: Scene) -> tuple[Scene, CameraTruth]:
+        return drifting(scene, self.errors, self.seed, self.noise_degC)
 
 
 def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float = 0.0) -> tuple[Scene, CameraTruth]:
@@ -69,21 +67,18 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     given scene's temperatures become the true ones, unless it has truer ones. Raises SceneError for a scene that is not
     gray and in °C.
     """
-    colored = in_pseudo_colour(clean.views)
-    if clean.temperature is None or colored:
+    views, given = clean.views, clean.temperature
+    colored = in_pseudo_colour(views)
+    if given is None or colored:
         why = "pseudo-colour" if colored else "no temperature range; set data.temperature=[MIN,MAX]"
         raise SceneError(f"{clean.name} has {why}: errors in °C can be added to gray images of temperatures alone")
-    views = clean.views
     sizes = {(view.camera.width, view.camera.height) for view in views}
     if len(sizes) > 1:
         raise SceneError(f"{clean.name} has images of several sizes: a camera has one vignette; set data.width")
-    given = clean.temperature
     camera = errors.drawn(sizes.pop(), (given.min, given.max), np.zeros(len(views)), [seed])
     rng = np.random.default_rng([seed, NOISE])
-    shown = []
-    for index, view in enumerate(views):
-        degC = in_degC(view, clean)
-        shown.append(camera.shown(degC, index, rng.normal(0, noise_degC, degC.shape)))
+    noises = [rng.normal(0, noise_degC, camera.pattern.shape) for _ in views]
+    shown = [camera.shown(in_degC(view, given), index, noises[index]) for index, view in enumerate(views)]
     measured = [degC if view.valid is None else degC[view.valid] for degC, view in zip(shown, views, strict=True)]
     span: TemperatureRange | None = None
     if errors.encoding == "agc":
@@ -100,17 +95,13 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
 
     def seen(view: View) -> View:
         image = np.repeat(images[view.name].astype(np.float32)[..., None], clean.channels, axis=2)
-        truth = view.load_true_temperature or (lambda: in_degC(view, clean).astype(np.float32))
+        truth = view.load_true_temperature or (lambda: in_degC(view, given).astype(np.float32))
         return view.with_thermal(image, load_true_temperature=truth)
 
-    scene = replace(
-        clean, train=[seen(view) for view in clean.train], test=[seen(view) for view in clean.test], temperature=span
-    )
-    return scene, CameraTruth([view.name for view in views], camera)
+    train, test = ([seen(view) for view in part] for part in (clean.train, clean.test))
+    return replace(clean, train=train, test=test, temperature=span), CameraTruth(list(images), camera)
 
 
-def in_degC(view: View, scene: Scene) -> np.ndarray:
+def in_degC(view: View, span: TemperatureRange) -> np.ndarray:
     """Return temperatures (H, W) of a view, °C."""
-    assert scene.temperature is not None
-    low, high = scene.temperature.min, scene.temperature.max
-    return low + (high - low) * view.thermal.mean(axis=2, dtype=np.float64)
+    return span.min + (span.max - span.min) * view.thermal.mean(axis=2, dtype=np.float64)

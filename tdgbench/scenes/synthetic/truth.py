@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,17 +27,17 @@ class CameraTruth:
 
     def index(self, names: list[str]) -> np.ndarray:
         """Return positions (N,) of views among the camera's."""
-        place = {name: number for number, name in enumerate(self.names)}
-        return np.array([place[name] for name in names])
+        return np.array([self.names.index(name) for name in names])
 
 
-def write_truth(scene: Path, truth: CameraTruth) -> None:
-    """Write the camera's fields as arrays, of which maps (H, W) are float32. scene: its folder."""
+def write_truth(scene: Path, truth: CameraTruth, rig: TrueRig) -> None:
+    """Write the camera's fields as arrays, maps (H, W) in float32, and a rig, if there is one. scene: its folder."""
     (scene / FOLDER).mkdir()
-    values = {field.name: getattr(truth.camera, field.name) for field in fields(TrueCamera)}
-    values |= {name: values[name].astype(np.float32) for name in ("vignette", "pattern")}
-    known = {name: value for name, value in values.items() if value is not None}
+    known = {name: value for name, value in vars(truth.camera).items() if value is not None}
+    known |= {name: known[name].astype(np.float32) for name in ("vignette", "pattern")}
     np.savez(scene / FOLDER / CAMERA, names=np.array(truth.names), **known)
+    if rig != TrueRig():
+        (scene / FOLDER / RIG).write_text(json.dumps(asdict(rig), indent=1) + "\n", encoding="utf-8")
 
 
 def read_truth(scene: Path) -> CameraTruth:
@@ -47,11 +47,6 @@ def read_truth(scene: Path) -> CameraTruth:
         stored = dict(file)
         names = stored.pop("names").tolist()
         return CameraTruth(names, TrueCamera(reference=float(stored.pop("reference")), **stored))
-
-
-def write_rig(scene: Path, rig: TrueRig) -> None:
-    """Write the rig beside the errors of the camera. scene: its folder."""
-    (scene / FOLDER / RIG).write_text(json.dumps(asdict(rig), indent=1) + "\n", encoding="utf-8")
 
 
 def read_rig(scene: Path) -> TrueRig:

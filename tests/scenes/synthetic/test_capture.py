@@ -1,68 +1,94 @@
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
-from tdgbench.scenes import ReadOptions
-from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
-from tests.helpers.scenes import small_dataset
+from tdgbench.bench.options import OptionError, check_options
+from tdgbench.scenes.synthetic.capture import ThermalErrors, limits, vignette
+from tests.helpers.configs import config
 
-SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}
-DEFAULT = {  # means without options of errors: thermal images, RGB images, true depth; coordinates of the points
-    "orbit": ((0.342397, 0.380762, 5.690734), (0.021753, -0.154948, 0.470129)),
-    "night": ((0.328680, 0.016902, 5.793532), (0.698804, 1.983175, 1.029345)),
-    "turntable": ((0.299513, 0.354606, 4.513177), (0.003714, -0.139293, 0.449953)),
-    "facade": ((0.409151, 0.473738, 3.134044), (0.037880, -0.093089, 1.453600)),
-}
-
-CAMERA = {"thermal_camera": ThermalErrors(gain=0.05)}
+SIZE, SPAN = (48, 36), (10.0, 30.0)
 
 
-def load(root, **errors):
-    return SyntheticDataset(str(root), ReadOptions(), **SIZE, errors=CaptureErrors(**errors)).load("turntable")
+def drawn(views=40, drifts=None, **errors):
+    return ThermalErrors(**errors).drawn(SIZE, SPAN, np.zeros(views) if drifts is None else drifts, [0])
 
 
-@pytest.mark.parametrize("name", DEFAULT)
-def test_scenes_without_further_errors_are_as_before(data_root, name):
-    """Means, since the last bits of an exponential, and so the hash of a scene, differ between processors."""
-    scene = small_dataset(data_root).load(name)
-    images = [[np.mean(image) for image in (view.thermal, view.rgb, view.true_depth)] for view in scene.views]
-    assert np.allclose(np.mean(images, axis=0), DEFAULT[name][0], atol=1e-4)
-    assert np.allclose(scene.points.points.mean(0), DEFAULT[name][1], atol=1e-4)
+def scene_temperatures():
+    return gaussian_filter(np.random.default_rng(1).uniform(12, 28, (36, 48)), 2)
 
 
-def test_noise_and_drift_are_those_asked_for(data_root, tmp_path):
-    clean = load(data_root)
-    noisy, drifting = load(tmp_path, noise_degC=1.0), load(tmp_path, drift_degC=2.0)
-    span = clean.temperature.max - clean.temperature.min
-    pairs = zip(clean.views, noisy.views, drifting.views, strict=True)
-    noise, drift = zip(*((b.thermal - a.thermal, c.thermal - a.thermal) for a, b, c in pairs), strict=True)
-    assert np.std(noise) * span == pytest.approx(1.0, rel=0.1)
-    expected = CaptureErrors(drift_degC=2.0).drifts(len(clean.views), 0)
-    assert np.abs(np.median(drift, axis=(1, 2, 3)) * span - expected).max() < 0.2
+def test_a_camera_without_errors_adds_noise_alone():
+    degC, noise = scene_temperatures(), np.random.default_rng(2).normal(0, 0.05, (36, 48))
+    assert np.array_equal(drawn().shown(degC, 3, noise), degC + noise)
 
 
-def test_given_poses_differ_and_images_do_not(data_root, tmp_path):
-    clean, wrong = load(data_root), load(tmp_path, pose_degrees=0.5, pose_units=0.02)
-    turns, shifts = [], []
-    for a, b in zip(clean.views, wrong.views, strict=True):
-        assert np.array_equal(a.thermal, b.thermal) and np.array_equal(a.true_depth, b.true_depth)
-        error = b.camera.world_to_camera @ np.linalg.inv(a.camera.world_to_camera)
-        turns.append(np.degrees(np.arccos((np.trace(error[:3, :3]) - 1) / 2)))
-        shifts.append(np.linalg.norm(error[:3, 3]))
-    assert np.sqrt(np.mean(np.square(turns)) / 3) == pytest.approx(0.5, rel=0.4)
-    assert np.sqrt(np.mean(np.square(shifts)) / 3) == pytest.approx(0.02, rel=0.4)
-    assert np.array_equal(clean.points.points, wrong.points.points)
+def test_the_walk_is_smooth_and_reaches_its_largest_value():
+    offsets = drawn(walk_degC=4.0).offsets
+    assert np.abs(offsets).max() == pytest.approx(4.0) and offsets.mean() == pytest.approx(0)
+    assert np.abs(np.diff(offsets)).max() < 1.5
 
 
-def test_each_set_of_errors_has_a_folder(tmp_path):
-    folders = {
-        load(tmp_path, **errors).folder.name for errors in ({}, {"noise_degC": 0.5}, {"pose_units": 0.01}, CAMERA)
-    }
-    assert len(folders) == 4
+def test_the_shutter_sets_the_walk_back():
+    steps = np.diff(drawn(walk_degC=4.0, shutter_views=10).offsets)
+    at_closures = np.abs(steps[[9, 19, 29]])
+    assert at_closures.max() > 3 * np.abs(np.delete(steps, [9, 19, 29])).max()
+    offsets = drawn(walk_degC=4.0, shutter_views=10).offsets
+    assert np.allclose(offsets[::10], offsets[0])
 
 
-def test_only_errors_of_the_camera_have_a_truth():
-    assert not CaptureErrors(noise_degC=1.0, pose_units=0.1).has_truth
-    assert (
-        CaptureErrors(drift_degC=1.0).has_truth
-        and CaptureErrors(thermal_camera=ThermalErrors(pattern_degC=1.0)).has_truth
-    )
+def test_response_follows_the_model():
+    camera = drawn(drifts=np.linspace(-2, 2, 40), gain=0.05, vignette_degC=2.6, pattern_degC=0.3)
+    degC = scene_temperatures()
+    for view in (0, 17):
+        expected = 20 + camera.gains[view] * (degC - 20) + camera.offsets[view] + camera.vignette + camera.pattern
+        assert np.allclose(camera.shown(degC, view, np.zeros_like(degC)), expected)
+    assert camera.gains.min() < 0.97 and camera.gains.max() > 1.03 and np.abs(camera.gains - 1).max() <= 0.05
+    assert camera.offsets.tolist() == np.linspace(-2, 2, 40).tolist()
+
+
+def test_a_vignette_off_the_centre_has_a_linear_part():
+    shape = vignette(64, 48, 0.25, -0.5)
+    row, column = np.unravel_index(shape.argmin(), shape.shape)
+    assert row == 0 and column in (47, 48) and shape.min() >= 0
+    assert shape.max() == shape[-1, 0] == pytest.approx(1, abs=0.05)
+    assert np.polyfit(np.linspace(-0.5, 0.5, 64), shape.mean(axis=0), 2)[1] < -0.1
+
+
+def test_vignette_is_radial_and_as_asked_at_the_corners():
+    shape = vignette(64, 48)
+    assert np.allclose(shape, shape[::-1]) and np.allclose(shape, shape[:, ::-1])
+    assert shape.max() == pytest.approx(1, abs=0.07) and shape.min() == pytest.approx(0, abs=1e-3)
+    assert np.argmin(shape[24]) in (31, 32)
+
+
+def test_pattern_is_partly_one_of_columns():
+    pattern = drawn(pattern_degC=0.5).pattern
+    assert pattern.std() == pytest.approx(0.5, rel=0.15) and pattern.mean() == pytest.approx(0, abs=1e-9)
+    assert pattern.mean(axis=0).std() > 3 * pattern.mean(axis=1).std()
+
+
+def test_one_error_does_not_change_the_random_numbers_of_another():
+    both, one = drawn(walk_degC=1.0, gain=0.05, pattern_degC=0.1), drawn(gain=0.05)
+    assert np.array_equal(both.gains, one.gains)
+    assert np.array_equal(both.pattern, drawn(pattern_degC=0.1).pattern)
+
+
+def test_limits_of_gain_control_leave_out_tails():
+    degC = np.linspace(0, 10, 1001)[None]
+    assert limits(degC) == pytest.approx((0.01, 9.99), abs=0.01)
+    low, high = limits(np.full((2, 2), 7.0))
+    assert low == 7 and high > low
+
+
+def test_files_are_in_degC_if_the_camera_has_errors():
+    assert [ThermalErrors(**errors).files for errors in ({}, {"gain": 0.1}, {"encoding": "agc"})] == [
+        "range", "degC", "agc"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrong", ["gain=2", "encoding=jpeg", "shutter_views=-1", "walk_degC=nan"])
+def test_options_are_checked_where_they_enter(wrong):
+    option = f"dataset.loader.errors.thermal_camera.{wrong}"
+    check_options(config("dataset=synthetic", "dataset.loader.errors.thermal_camera.encoding=agc"))
+    with pytest.raises(OptionError, match=option.partition("=")[0]):
+        check_options(config("dataset=synthetic", option))

@@ -1,7 +1,16 @@
+import os
+
+import numpy as np
 import pytest
 
 from tdgbench.scenes import ReadOptions, SceneError
-from tdgbench.scenes.synthetic import SyntheticDataset
+from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
+
+TINY = {"width": 24, "height": 18, "views": 5, "points": 50}
+
+
+def load(root, **errors):
+    return SyntheticDataset(str(root), ReadOptions(), 48, 36, 10, 300, errors=CaptureErrors(**errors)).load("turntable")
 
 
 def test_unknown_scene(tmp_path):
@@ -20,3 +29,64 @@ def test_a_root_that_is_no_folder_is_an_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(SceneError, match=r"no scene can be written to .*file \(Not a directory\); set data\.root=DIR"):
         SyntheticDataset(tmp_path / "file", ReadOptions()).load("orbit")
+
+
+def test_same_seed_same_files(tmp_path):
+    first, again, other = (
+        SyntheticDataset(str(tmp_path / folder), ReadOptions(), **TINY, seed=seed).load("night").fingerprint
+        for folder, seed in (("a", 0), ("b", 0), ("c", 1))
+    )
+    assert first == again != other
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no umask")
+def test_permissions_follow_the_umask(tmp_path):
+    before = os.umask(0o022)
+    try:
+        scene = SyntheticDataset(str(tmp_path), ReadOptions(), **TINY).load("night")
+    finally:
+        os.umask(before)
+    paths = [scene.folder, *scene.folder.rglob("*")]
+    assert {(path.is_dir(), path.stat().st_mode & 0o777) for path in paths} == {(True, 0o755), (False, 0o644)}
+    assert [path.name for path in scene.folder.parent.iterdir()] == [scene.folder.name]
+
+
+@pytest.mark.parametrize("points", [0, 4])
+def test_a_scene_may_have_no_points(tmp_path, points):
+    scene = SyntheticDataset(str(tmp_path), ReadOptions(), **TINY | {"points": points}).load("night")
+    assert scene.points is None and len(scene.train) == 4
+
+
+def test_noise_and_drift_are_those_asked_for(data_root, tmp_path):
+    clean, noisy, drifting = load(data_root), load(tmp_path, noise_degC=1.0), load(tmp_path, drift_degC=2.0)
+    plain, noise, drift = (np.array([view.thermal for view in scene.views]) for scene in (clean, noisy, drifting))
+    span = clean.temperature.max - clean.temperature.min
+    assert np.std(noise - plain) * span == pytest.approx(1.0, rel=0.1)
+    expected = CaptureErrors(drift_degC=2.0).drawn_camera((48, 36), (0.0, 1.0), 10, 0).offsets
+    assert np.std(expected) == pytest.approx(2, rel=0.5)
+    assert np.abs(np.median(drift - plain, axis=(1, 2, 3)) * span - expected).max() < 0.2
+
+
+def test_given_poses_differ_and_images_do_not(data_root, tmp_path):
+    clean, wrong = load(data_root), load(tmp_path, pose_degrees=0.5, pose_units=0.02)
+    turns, shifts = [], []
+    for a, b in zip(clean.views, wrong.views, strict=True):
+        assert np.array_equal(a.thermal, b.thermal) and np.array_equal(a.true_depth, b.true_depth)
+        error = b.camera.world_to_camera @ np.linalg.inv(a.camera.world_to_camera)
+        turns.append(np.degrees(np.arccos((np.trace(error[:3, :3]) - 1) / 2)))
+        shifts.append(np.linalg.norm(error[:3, 3]))
+    assert np.sqrt(np.mean(np.square(turns)) / 3) == pytest.approx(0.5, rel=0.4)
+    assert np.sqrt(np.mean(np.square(shifts)) / 3) == pytest.approx(0.02, rel=0.4)
+    assert np.array_equal(clean.points.points, wrong.points.points)
+
+
+def test_each_set_of_errors_has_a_folder(tmp_path):
+    some = ({}, {"noise_degC": 0.5}, {"pose_units": 0.01}, {"thermal_camera": ThermalErrors(gain=0.05)})
+    datasets = [SyntheticDataset(str(tmp_path), ReadOptions(), errors=CaptureErrors(**errors)) for errors in some]
+    assert len({dataset.folder("turntable") for dataset in datasets}) == 4
+
+
+def test_only_errors_of_the_camera_have_a_truth():
+    pattern = ThermalErrors(pattern_degC=1.0)
+    assert not CaptureErrors(noise_degC=1.0, pose_units=0.1).has_truth
+    assert CaptureErrors(drift_degC=1.0).has_truth and CaptureErrors(thermal_camera=pattern).has_truth

@@ -11,12 +11,13 @@ def test_temperatures_are_in_the_image(data_root):
     scene = small_dataset(data_root).load("facade")
     world, view = WORLDS["facade"](0), scene.train[3]
     y, x = np.mgrid[0:36, 0:48] + 0.5
-    hits = trace(world, view.camera, np.stack([x.ravel(), y.ravel()], axis=-1))
-    _, degC = shade(world, hits)
-    assert np.allclose(hits.depth.reshape(36, 48), view.true_depth, rtol=1e-5)
+    points, depth, owner = trace(world, view.camera, np.stack([x.ravel(), y.ravel()], axis=-1))
+    pixels, z = view.camera.project(points)
+    assert np.allclose(pixels, np.stack([x.ravel(), y.ravel()], axis=-1)) and np.allclose(z, depth)
+    assert np.allclose(depth.reshape(36, 48), view.true_depth, rtol=1e-5)
+    _, degC = shade(world, points, owner)
     low, high = scene.temperature.min, scene.temperature.max
-    shown = view.thermal[..., 0] * (high - low) + low
-    assert np.median(np.abs(shown - degC.reshape(36, 48))) < 0.2
+    assert np.median(np.abs(view.thermal[..., 0] * (high - low) + low - degC.reshape(36, 48))) < 0.2
 
 
 def test_look_at():

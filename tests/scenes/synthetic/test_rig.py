@@ -90,9 +90,9 @@ def test_a_lens_that_folds_the_image_is_an_error(tmp_path):
 def test_options(tmp_path):
     cfg = config("dataset=synthetic", "dataset.loader.errors.rig.offset=[0.1,0,0]", f"data.root={tmp_path}")
     check_options(cfg)
-    assert instantiate(cfg.dataset.loader).shot.errors == CaptureErrors(rig=TrueRig(offset=[0.1, 0, 0]))
+    assert instantiate(cfg.dataset.loader).errors == CaptureErrors(rig=TrueRig(offset=[0.1, 0, 0]))
     made = config("dataset=synthetic_rig", f"data.root={tmp_path}")
     check_options(made)
-    assert instantiate(made.dataset.loader).shot.errors.rig.focal == 1.02
+    assert instantiate(made.dataset.loader).errors.rig.focal == 1.02
     with pytest.raises(OptionError, match=r"errors\.rig\.offset"):
         check_options(config("dataset=synthetic", "dataset.loader.errors.rig.offset=[0.1,0]"))
