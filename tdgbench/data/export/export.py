@@ -61,7 +61,8 @@ def export_scene(scene: Scene, out: Path, name: str) -> Statement:
     `export.json` says beside them. Raises SceneError, for one if `out` exists.
     """
     train, test = (sorted((view.name for view in views), key=ORDERS[name]) for views in (scene.train, scene.test))
-    statement = Statement(name, scene.name, scene.fingerprint, scene.split, train, test, list(scene.notes))
+    notes = [*scene.notes, *(f"assumed {key}: {line}" for key, line in scene.assumed.items()), *scene.doubts]
+    statement = Statement(name, scene.name, scene.fingerprint, scene.split, train, test, notes)
     if scene.channels == 1 and scene.temperature is not None:
         statement.unit, statement.black, statement.white = "°C", scene.temperature.min, scene.temperature.max
     elif scene.channels == 1 and scene.raw_count_range is not None:
