@@ -47,10 +47,8 @@ class Header(NamedTuple):
     assumed: tuple[str, ...] = ()
 
     def checked(self, path: Path) -> Header:
-        """Return this header. Raises SceneError for more pixels than an image may have."""
-        if not 0 < self.width * self.height <= MAX_PIXELS:
-            size = f"{self.width}×{self.height}"
-            raise SceneError(f"{path} is {size} px; an image may have {MAX_PIXELS} pixels. Resize it")
+        """Return this header. Raises SceneError as `check_pixels`."""
+        check_pixels(self.width, self.height, path)
         return self
 
 
@@ -93,6 +91,12 @@ class Format(NamedTuple):
     fits: Callable[[Source], bool]
     header: Callable[[Source], Header]
     decode: Callable[[Source], Decoded]
+
+
+def check_pixels(width: int, height: int, path: Path) -> None:
+    """Raise SceneError for none, or for more pixels than an image may have; before they are decoded."""
+    if not 0 < width * height <= MAX_PIXELS:
+        raise SceneError(f"{path} is {width}×{height} px; an image may have {MAX_PIXELS} pixels. Resize it")
 
 
 def without_alpha(values: np.ndarray, most: float, path: Path) -> tuple[np.ndarray, np.ndarray | None]:

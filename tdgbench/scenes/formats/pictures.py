@@ -18,9 +18,8 @@ import numpy as np
 from PIL import ExifTags, Image, ImageCms, UnidentifiedImageError
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.formats.decoded import Decoded, Depth, Format, Header, Meaning, Source, without_alpha
+from tdgbench.scenes.formats.decoded import Decoded, Depth, Format, Header, Meaning, Source, check_pixels, without_alpha
 from tdgbench.scenes.formats.unread import not_an_image
-from tdgbench.scenes.validate import MAX_PIXELS
 
 PILLOW = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -44,9 +43,7 @@ def pillow(source: Source) -> Iterator[Image.Image]:
         except UnidentifiedImageError:
             raise not_an_image(source.path, source.head) from None
         with found as image:
-            if image.width * image.height > MAX_PIXELS:
-                size = f"{image.width}×{image.height}"
-                raise SceneError(f"{source.path} is {size} px; an image may have {MAX_PIXELS} pixels. Resize it")
+            check_pixels(image.width, image.height, source.path)
             yield image
 
 
