@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.common.clouds import random_cloud
 from benchmarks.common.timing import median_ms
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.cpu import pool

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 
-from tdgbench.bench.record import read_all
+from tdgbench.cells.record import read_all
 from tests.helpers.command import command_here
 from tests.helpers.configs import SMALL
 from tests.helpers.models import put

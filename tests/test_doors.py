@@ -26,12 +26,12 @@ DOORS = {
     "tdgbench/archives.py": {"zipfile.ZipFile": OPENED, "archive.open": OPENED},
     "tdgbench/bench/cell_phases.py": {"instantiate": CHOSEN},
     "tdgbench/bench/environment.py": {"path.read_bytes": OURS, "subprocess.run": "git, in tdgbench's checkout"},
-    "tdgbench/bench/known_classes.py": {
+    "tdgbench/cells/known_classes.py": {
         "get_class": "names of conf/, and of --trust and --config-dir, that a record's `_target_` equals",
         "OmegaConf.load": "YAML of conf/ and of --config-dir",
     },
     "tdgbench/bench/machine.py": {"file.read_text": OURS, "subprocess.run": "nvidia-smi and the like"},
-    "tdgbench/bench/read_files.py": {"Image.open": OPENED},
+    "tdgbench/cells/read_files.py": {"Image.open": OPENED},
     "tdgbench/bench/setup.py": {"instantiate": CHOSEN},
     "tdgbench/bench/signature.py": {"OmegaConf.load": OURS},
     "tdgbench/children.py": {"subprocess.Popen": CHOSEN},

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from tdgbench import __version__
-from tdgbench.bench.record import read_all
+from tdgbench.cells.record import read_all
 from tdgbench.splats.cpu import pool
 from tdgbench.tools import TOOLS
 from tdgbench.verify import verify

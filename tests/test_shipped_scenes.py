@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tdgbench.bench.options import OptionError, check_options
-from tdgbench.bench.record import Record, read_all
+from tdgbench.cells.record import Record, read_all
 from tests.helpers.command import command_here, tdgbench_here
 from tests.helpers.configs import config
 from tests.helpers.layouts import (

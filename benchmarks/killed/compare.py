@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
-from tdgbench.bench.record import Record, read_all, read_record, record_files
-from tdgbench.bench.stored import file_problems, hashes_of_content
+from tdgbench.cells.record import Record, read_all, read_record, record_files
+from tdgbench.cells.stored import file_problems, hashes_of_content
 from tdgbench.tables.build import build_tables
 
 MAY_DIFFER = ("seconds", "train_processor_seconds", "peak_rss_mb", "peak_gpu_mb", "environment", "resumed", "notes")

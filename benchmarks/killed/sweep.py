@@ -20,7 +20,7 @@ from filelock import FileLock, Timeout
 
 from benchmarks.killed import full_disk
 from benchmarks.killed.compare import compare
-from tdgbench.bench.record import record_files
+from tdgbench.cells.record import record_files
 
 ROOT = Path(__file__).resolve().parents[2]
 SIGNALS = ("SIGKILL", "SIGTERM", "SIGINT")

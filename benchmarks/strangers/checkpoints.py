@@ -6,9 +6,9 @@ import hashlib
 from pathlib import Path
 from typing import Any, cast
 
-from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.record import read_record
-from tdgbench.bench.stored_parts import MethodInTraining
+from tdgbench.cells.cameras import read_cameras
+from tdgbench.cells.record import read_record
+from tdgbench.cells.stored_parts import MethodInTraining
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 from tdgbench.training.checkpoint import Checkpoint

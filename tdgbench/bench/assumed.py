@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tdgbench.bench.record import MOST_ASSUMED, MOST_DOUBTS, MOST_SHOWN, MOST_STATED, VALUES, Record
+from tdgbench.cells.record import MOST_ASSUMED, MOST_DOUBTS, MOST_SHOWN, MOST_STATED, VALUES, Record
 from tdgbench.scenes import Scene
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scenes.view_images import PALETTE

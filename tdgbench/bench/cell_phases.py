@@ -15,23 +15,23 @@ from typing import NamedTuple, cast
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from tdgbench.bench import cameras
 from tdgbench.bench.assumed import state_assumptions, state_values
 from tdgbench.bench.backend_check.choose import auto, training_backend
 from tdgbench.bench.environment import SAME_BYTES, code_version
-from tdgbench.bench.ground_truth import truth_hashes
-from tdgbench.bench.key import as_json, cell_key, relevant_config
-from tdgbench.bench.masks import masked_share
-from tdgbench.bench.paths import cell_folder_of, files_of, prior_cache, short_name
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.protocol import protocol_of
-from tdgbench.bench.read_files import MOST_PIXELS
-from tdgbench.bench.record import MadeElsewhere, PartReport, Record, SkipRecord
-from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.scores import score_training_views, write_log, write_views
 from tdgbench.bench.setup import Facts, SetupObserver, Training, loader_of, set_up
-from tdgbench.bench.stored import hashes
-from tdgbench.bench.stored_parts import write_parts
+from tdgbench.cells import cameras
+from tdgbench.cells.ground_truth import truth_hashes
+from tdgbench.cells.key import as_json, cell_key, relevant_config
+from tdgbench.cells.masks import masked_share
+from tdgbench.cells.paths import cell_folder_of, files_of, prior_cache, short_name
+from tdgbench.cells.protocol import protocol_of
+from tdgbench.cells.read_files import MOST_PIXELS
+from tdgbench.cells.record import MadeElsewhere, PartReport, Record, SkipRecord
+from tdgbench.cells.renders import render_views, write_renders
+from tdgbench.cells.stored import hashes
+from tdgbench.cells.stored_parts import write_parts
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene, SceneError
 from tdgbench.scenes.datasets import Outline, outline_of

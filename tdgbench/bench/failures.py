@@ -11,7 +11,7 @@ from urllib.error import URLError
 import torch
 
 from tdgbench.bench.options import OptionError
-from tdgbench.bench.record import Failure
+from tdgbench.cells.record import Failure
 from tdgbench.priors import PriorError, PriorUnavailableError
 from tdgbench.scenes import SceneError
 from tdgbench.training.part import TrainingError

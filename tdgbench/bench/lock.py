@@ -8,7 +8,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from tdgbench.bench.paths import short_name
+from tdgbench.cells.paths import short_name
 
 
 def cell_lock(experiment: Path, folder: Path) -> AbstractContextManager[bool]:

@@ -11,8 +11,6 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt, ValidationError
 
-from tdgbench.bench.key import flat
-from tdgbench.bench.record import LARGEST
 from tdgbench.bench.signature import (
     STRICT,
     UNKNOWN,
@@ -24,6 +22,8 @@ from tdgbench.bench.signature import (
     pydantic_problems,
     signature_problems,
 )
+from tdgbench.cells.key import flat
+from tdgbench.cells.record import LARGEST
 from tdgbench.splats.backends import backend_names
 from tdgbench.splats.density import GradientKind
 from tdgbench.training.method import Method

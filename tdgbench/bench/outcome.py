@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from tdgbench.bench.record import Record, read_all
+from tdgbench.cells.record import Record, read_all
 from tdgbench.scoring import METRICS
 from tdgbench.text import duration
 

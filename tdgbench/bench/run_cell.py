@@ -9,17 +9,18 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench import failures, stored
+from tdgbench.bench import failures
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.cell_phases import CellRun
 from tdgbench.bench.environment import describe_environment
-from tdgbench.bench.key import why_differs
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.machine import PeakMemory, exclusive_gpu, visible_gpus
 from tdgbench.bench.options import check_names, check_options
 from tdgbench.bench.outcome import Outcome, Status, finished
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import Record
+from tdgbench.cells import stored
+from tdgbench.cells.key import why_differs
+from tdgbench.cells.record import Record
 from tdgbench.files import finish_replacement
 from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import MissingScenesError

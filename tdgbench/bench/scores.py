@@ -6,9 +6,9 @@ import csv
 import math
 from pathlib import Path
 
-from tdgbench.bench.read_files import read_table
-from tdgbench.bench.record import LARGEST_SCORE
-from tdgbench.bench.renders import render_images
+from tdgbench.cells.read_files import read_table
+from tdgbench.cells.record import LARGEST_SCORE
+from tdgbench.cells.renders import render_images
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, Scores, mean_scores
 from tdgbench.scoring.scored_view import NotApplicableError

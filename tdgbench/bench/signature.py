@@ -23,7 +23,7 @@ from omegaconf import OmegaConf
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
-from tdgbench.bench.record import LARGEST
+from tdgbench.cells.record import LARGEST
 from tdgbench.resources import conf_folder
 
 SCALARS = (int, float, bool, str, type(None), Any)

@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from tdgbench.bench.ground_truth import views_with_other_truth, views_with_truth
-from tdgbench.bench.key import flat
-from tdgbench.bench.protocol import MEASURED_ON
-from tdgbench.bench.record import Record
 from tdgbench.bench.signature import as_typed
+from tdgbench.cells.ground_truth import views_with_other_truth, views_with_truth
+from tdgbench.cells.key import flat
+from tdgbench.cells.protocol import MEASURED_ON
+from tdgbench.cells.record import Record
 from tdgbench.compare.cells import Pair
 from tdgbench.text import one_line
 

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.bench.colours import colored, in_colour
-from tdgbench.bench.record import Record
-from tdgbench.bench.renders import stored_view
+from tdgbench.cells.record import Record
+from tdgbench.cells.renders import stored_view
 from tdgbench.compare.causes import KINDS, Cause
 from tdgbench.compare.cells import NUMBERS, PLACE, Pair, Pairs, numbers_as_text
 from tdgbench.files import write_text

@@ -16,10 +16,10 @@ from omegaconf import DictConfig, OmegaConf
 from pydantic import BaseModel, Field, PositiveFloat
 
 from tdgbench.bench.options import OptionError
-from tdgbench.bench.paths import prior_cache
 from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.bench.signature import Problem
+from tdgbench.cells.paths import prior_cache
 from tdgbench.experiments.experiment import Experiment, error_message, prepare_prior
 from tdgbench.files import write_text
 from tdgbench.report.figures import plain, save_figure

@@ -17,8 +17,8 @@ from pydantic import Field, NonNegativeInt
 
 from tdgbench.bench.outcome import SUCCESS, Outcome, finished_records
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import Record
 from tdgbench.bench.run_cell import run_cell
+from tdgbench.cells.record import Record
 from tdgbench.terminal import console, say
 
 

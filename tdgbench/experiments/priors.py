@@ -13,8 +13,8 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from tdgbench.bench.failures import message
-from tdgbench.bench.paths import prior_cache
 from tdgbench.bench.setup import loader_of
+from tdgbench.cells.paths import prior_cache
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.matrix import (
     AxisValue,

@@ -12,8 +12,8 @@ import pandas as pd
 from omegaconf import DictConfig
 
 from tdgbench.bench.options import OptionError
-from tdgbench.bench.record import Record
 from tdgbench.bench.signature import Problem
+from tdgbench.cells.record import Record
 from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.matrix import Axes, AxisValue, MatrixOptions, check_all_ran, run_cells, table_of, values_of
 from tdgbench.files import write_text

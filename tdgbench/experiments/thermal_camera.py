@@ -13,8 +13,8 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field
 
-from tdgbench.bench.key import as_json
-from tdgbench.bench.record import Record
+from tdgbench.cells.key import as_json
+from tdgbench.cells.record import Record
 from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.matrix import (
     Axes,

@@ -6,10 +6,10 @@ from collections import defaultdict
 from pathlib import Path
 from typing import NamedTuple
 
-from tdgbench.bench.paths import files_of
-from tdgbench.bench.plan import read_plan
-from tdgbench.bench.record import read_each
-from tdgbench.bench.stored import file_problems
+from tdgbench.cells.paths import files_of
+from tdgbench.cells.plan import read_plan
+from tdgbench.cells.record import read_each
+from tdgbench.cells.stored import file_problems
 from tdgbench.scenes.modalities import THERMAL
 
 FEWEST_SEEDS = 3  # of which a spread can be stated

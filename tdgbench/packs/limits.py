@@ -7,10 +7,10 @@ from collections.abc import Collection
 from pathlib import PurePosixPath
 
 from tdgbench.archives import MOST_BYTES
-from tdgbench.bench import cameras, plan
-from tdgbench.bench.paths import CELL_FILE
-from tdgbench.bench.read_files import MAX_CAMERAS, MAX_PICTURE, MAX_TEXT
-from tdgbench.bench.record import FILE
+from tdgbench.cells import cameras, plan
+from tdgbench.cells.paths import CELL_FILE
+from tdgbench.cells.read_files import MAX_CAMERAS, MAX_PICTURE, MAX_TEXT
+from tdgbench.cells.record import FILE
 from tdgbench.files import MB
 from tdgbench.scenes.inputs import check_view_name
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
-from tdgbench.bench.record import Sha256
+from tdgbench.cells.record import Sha256
 from tdgbench.packs.limits import NAME, check_place
 from tdgbench.scenes import SceneError
 

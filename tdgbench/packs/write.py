@@ -11,10 +11,10 @@ import zipfile
 from pathlib import Path
 
 from tdgbench import __version__
-from tdgbench.bench import plan
-from tdgbench.bench.paths import folder_name
-from tdgbench.bench.record import FILE, no_records, record_files
-from tdgbench.bench.stored import cell_files
+from tdgbench.cells import plan
+from tdgbench.cells.paths import folder_name
+from tdgbench.cells.record import FILE, no_records, record_files
+from tdgbench.cells.stored import cell_files
 from tdgbench.files import content_of, opened, whole_file
 from tdgbench.packs import manifest
 from tdgbench.packs.limits import NAME, check_amount, check_place, most_bytes

@@ -7,7 +7,7 @@ from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-from tdgbench.bench.record import READ_PHASE, Record, SkipRecord
+from tdgbench.cells.record import READ_PHASE, Record, SkipRecord
 from tdgbench.files import write_text
 from tdgbench.report.scene import scene_section
 from tdgbench.report.scores import depth_priors, further_scores, legend, main_scores, published_section

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tdgbench.bench import colours, masks
+from tdgbench.bench import colours
 from tdgbench.bench.failures import message
-from tdgbench.bench.renders import stored_determinacy, stored_view
+from tdgbench.cells import masks
+from tdgbench.cells.renders import stored_determinacy, stored_view
 from tdgbench.report import views
 from tdgbench.report.figures import any_font, plain
 from tdgbench.scoring.metrics.barely_seen import is_barely_seen

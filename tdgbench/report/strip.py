@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tdgbench.bench.colours import in_colour
-from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.record import Record
-from tdgbench.bench.renders import stored_view
+from tdgbench.cells.paths import cell_folder_of
+from tdgbench.cells.record import Record
+from tdgbench.cells.renders import stored_view
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.colours import UNKNOWN, expected_depth
-from tdgbench.bench.paths import files_of
-from tdgbench.bench.stored_views import StoredViews
+from tdgbench.cells.cameras import read_cameras
+from tdgbench.cells.paths import files_of
+from tdgbench.cells.stored_views import StoredViews
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.tables.cell import Cell
 

@@ -16,14 +16,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.key import cell_key, flat
-from tdgbench.bench.known_classes import UnknownMethodError
-from tdgbench.bench.protocol import VERSION, protocol_of
-from tdgbench.bench.record import Record
 from tdgbench.bench.scores import Row, read_views, write_views
-from tdgbench.bench.stored import cell_files, file_problems, hashes, readable_record
-from tdgbench.bench.stored_views import StoredViews
+from tdgbench.cells.cameras import read_cameras
+from tdgbench.cells.key import cell_key, flat
+from tdgbench.cells.known_classes import UnknownMethodError
+from tdgbench.cells.protocol import VERSION, protocol_of
+from tdgbench.cells.record import Record
+from tdgbench.cells.stored import cell_files, file_problems, hashes, readable_record
+from tdgbench.cells.stored_views import StoredViews
 from tdgbench.files import whole_folder
 from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
 from tdgbench.scoring.metric import ImageMetric, Metric

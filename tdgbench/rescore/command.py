@@ -12,14 +12,14 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from tdgbench.bench.failures import message
-from tdgbench.bench.key import as_json, relevant_metrics
-from tdgbench.bench.known_classes import add_trust_arguments, trust
 from tdgbench.bench.lock import cell_lock
-from tdgbench.bench.metric_settings import metric_settings, scorer_of
 from tdgbench.bench.options import check_options
-from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.plan import read_plan
-from tdgbench.bench.record import Record, read_each
+from tdgbench.cells.key import as_json, relevant_metrics
+from tdgbench.cells.known_classes import add_trust_arguments, trust
+from tdgbench.cells.metric_settings import metric_settings, scorer_of
+from tdgbench.cells.paths import cell_folder_of
+from tdgbench.cells.plan import read_plan
+from tdgbench.cells.record import Record, read_each
 from tdgbench.experiments.experiment import error_message
 from tdgbench.experiments.sweep.finish import write_all
 from tdgbench.files import whole_folder

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from tdgbench.bench.paths import folder_name
-from tdgbench.bench.plan import Plan, read_plan
-from tdgbench.bench.protocol import MEASURED_ON, protocol_settings
-from tdgbench.bench.record import Record
+from tdgbench.cells.paths import folder_name
+from tdgbench.cells.plan import Plan, read_plan
+from tdgbench.cells.protocol import MEASURED_ON, protocol_settings
+from tdgbench.cells.record import Record
 from tdgbench.packs import manifest, unpacked
 from tdgbench.packs.checklist import Item, checklist
 from tdgbench.packs.manifest import Manifest

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from tdgbench.bench.ground_truth import truth_groups
-from tdgbench.bench.key import flat
+from tdgbench.cells.ground_truth import truth_groups
+from tdgbench.cells.key import flat
 from tdgbench.files import whole_folder
 from tdgbench.packs.manifest import SHOWN
 from tdgbench.report.page import environment, environments

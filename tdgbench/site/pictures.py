@@ -12,8 +12,8 @@ import numpy as np
 from PIL import Image
 
 from tdgbench.bench import colours
-from tdgbench.bench.protocol import protocol_settings
-from tdgbench.bench.renders import stored_view
+from tdgbench.cells.protocol import protocol_settings
+from tdgbench.cells.renders import stored_view
 from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view
 from tdgbench.site.packed import Pack
 from tdgbench.tables.cell import Cell

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.text import MOST_NAMED, first_few
 
 UNSTATED = "not stated"

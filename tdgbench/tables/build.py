@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import Record, no_records
+from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import Record, no_records
 from tdgbench.files import write_text
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.read_files import table_text
-from tdgbench.bench.record import Record
 from tdgbench.bench.scores import read_views
+from tdgbench.cells.paths import cell_folder_of
+from tdgbench.cells.read_files import table_text
+from tdgbench.cells.record import Record
 from tdgbench.scoring import METRICS
 from tdgbench.tables.long_table import method_label, planned_iterations
 

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
-from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import Record
+from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import Record
 from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables import methods

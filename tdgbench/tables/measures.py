@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import nan
 from typing import Any
 
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.scenes.inputs import ROWS_OF_AVERAGES
 from tdgbench.scenes.modalities import OTHERS
 from tdgbench.scoring import METRICS, TRAIN_METRICS

@@ -11,7 +11,7 @@ from operator import attrgetter
 
 import pandas as pd
 
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.tables.measures import AVERAGE, OVERALL
 
 COLUMN = "image_values"

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.scoring import METRICS
 from tdgbench.tables import methods
 from tdgbench.tables.long_table import metric_value, planned_iterations

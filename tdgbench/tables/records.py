@@ -6,13 +6,13 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from tdgbench.bench.key import flat
-from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.plan import Plan, read_plan
-from tdgbench.bench.protocol import protocols_apart
-from tdgbench.bench.record import FILE, READ_PHASE, Failure, Record, read_each
 from tdgbench.bench.scores import read_views
 from tdgbench.bench.signature import as_typed
+from tdgbench.cells.key import flat
+from tdgbench.cells.paths import cell_folder_of
+from tdgbench.cells.plan import Plan, read_plan
+from tdgbench.cells.protocol import protocols_apart
+from tdgbench.cells.record import FILE, READ_PHASE, Failure, Record, read_each
 
 UNNAMED = "single"  # `name` in conf/config.yaml: runs of any scenes, which make no table together
 

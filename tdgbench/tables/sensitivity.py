@@ -17,10 +17,10 @@ import numpy as np
 import pandas as pd
 from skimage.metrics import structural_similarity
 
-from tdgbench.bench.metric_settings import metric_settings, why_no_lpips
-from tdgbench.bench.paths import files_of
-from tdgbench.bench.record import Record
-from tdgbench.bench.renders import stored_view
+from tdgbench.cells.metric_settings import metric_settings, why_no_lpips
+from tdgbench.cells.paths import files_of
+from tdgbench.cells.record import Record
+from tdgbench.cells.renders import stored_view
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.scoring import METRICS, LPIPSOptions, Scorer
 from tdgbench.scoring.lpips import Net, Range

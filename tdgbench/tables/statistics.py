@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import Record
 from tdgbench.bench.scores import read_views
+from tdgbench.cells.paths import cell_folder_of
+from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import Record
 from tdgbench.tables.long_table import method_label, scene_rows, with_averages
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OF_RECORDS, OVERALL, TRAINING, gain
 from tdgbench.tables.methods import MethodPair

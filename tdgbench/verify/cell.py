@@ -7,11 +7,11 @@ from dataclasses import fields
 from pathlib import Path
 from typing import NamedTuple
 
-from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.read_files import read_table, read_text
-from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import finite_field, read_views
-from tdgbench.bench.stored import cell_files, file_problems
+from tdgbench.cells.cameras import read_cameras
+from tdgbench.cells.read_files import read_table, read_text
+from tdgbench.cells.record import FILE, Record
+from tdgbench.cells.stored import cell_files, file_problems
 from tdgbench.verify import facts
 from tdgbench.verify.pictures import StoredPictures, picture_problems
 from tdgbench.verify.problems import Problems

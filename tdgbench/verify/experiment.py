@@ -6,10 +6,10 @@ import argparse
 from pathlib import Path
 from typing import NamedTuple
 
-from tdgbench.bench.known_classes import add_trust_arguments, trust
-from tdgbench.bench.paths import files_of
-from tdgbench.bench.plan import read_plan
-from tdgbench.bench.record import FILE, no_records, record_files
+from tdgbench.cells.known_classes import add_trust_arguments, trust
+from tdgbench.cells.paths import files_of
+from tdgbench.cells.plan import read_plan
+from tdgbench.cells.record import FILE, no_records, record_files
 from tdgbench.packs import opened_pack
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tdgbench.bench.cameras import Cameras
-from tdgbench.bench.key import cell_key
-from tdgbench.bench.metric_settings import metric_settings
-from tdgbench.bench.paths import cell_folder_of, files_of
-from tdgbench.bench.protocol import protocol_of
-from tdgbench.bench.record import FILE, Record, schema_problems
 from tdgbench.bench.scores import Row
+from tdgbench.cells.cameras import Cameras
+from tdgbench.cells.key import cell_key
+from tdgbench.cells.metric_settings import metric_settings
+from tdgbench.cells.paths import cell_folder_of, files_of
+from tdgbench.cells.protocol import protocol_of
+from tdgbench.cells.record import FILE, Record, schema_problems
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.scoring import TRAIN_METRICS
 from tdgbench.splats.ply import count_rows

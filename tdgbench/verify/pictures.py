@@ -7,13 +7,13 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tdgbench.bench import masks, stored_parts
-from tdgbench.bench.cameras import Cameras
-from tdgbench.bench.ground_truth import MAX_DIFFERENT
-from tdgbench.bench.paths import files_of
-from tdgbench.bench.record import FILE, Record
-from tdgbench.bench.renders import DETERMINACY, response_of
-from tdgbench.bench.stored_views import StoredViews, depth_of
+from tdgbench.cells import masks, stored_parts
+from tdgbench.cells.cameras import Cameras
+from tdgbench.cells.ground_truth import MAX_DIFFERENT
+from tdgbench.cells.paths import files_of
+from tdgbench.cells.record import FILE, Record
+from tdgbench.cells.renders import DETERMINACY, response_of
+from tdgbench.cells.stored_views import StoredViews, depth_of
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.splats.view import Render
 from tdgbench.verify.problems import Problems

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tdgbench.bench.masks import masked_share
-from tdgbench.bench.metric_settings import metric_settings, scorer_of
-from tdgbench.bench.record import FILE, Record
 from tdgbench.bench.scores import Row
+from tdgbench.cells.masks import masked_share
+from tdgbench.cells.metric_settings import metric_settings, scorer_of
+from tdgbench.cells.record import FILE, Record
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, RenderedImages
 from tdgbench.scoring.backbones import BackboneUnavailableError

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.ground_truth import same_truth, stored_truth, truth_hash, truth_of
-from tdgbench.bench.known_classes import built, known_classes
-from tdgbench.bench.read_files import MOST_PIXELS
-from tdgbench.bench.record import Record
+from tdgbench.cells.cameras import read_cameras
+from tdgbench.cells.ground_truth import same_truth, stored_truth, truth_hash, truth_of
+from tdgbench.cells.known_classes import built, known_classes
+from tdgbench.cells.read_files import MOST_PIXELS
+from tdgbench.cells.record import Record
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.datasets import outline_of
 from tdgbench.text import first_few

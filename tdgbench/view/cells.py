@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from tdgbench.bench import stored_parts
-from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.known_classes import UnknownMethodError
-from tdgbench.bench.paths import files_of
-from tdgbench.bench.read_files import read_picture
-from tdgbench.bench.record import FILE, Record, read_record, record_files
-from tdgbench.bench.renders import response_of
-from tdgbench.bench.stored import file_problems
-from tdgbench.bench.stored_parts import StoredMethod
+from tdgbench.cells import stored_parts
+from tdgbench.cells.cameras import read_cameras
+from tdgbench.cells.known_classes import UnknownMethodError
+from tdgbench.cells.paths import files_of
+from tdgbench.cells.read_files import read_picture
+from tdgbench.cells.record import FILE, Record, read_record, record_files
+from tdgbench.cells.renders import response_of
+from tdgbench.cells.stored import file_problems
+from tdgbench.cells.stored_parts import StoredMethod
 from tdgbench.scenes import Camera
 from tdgbench.scenes.modalities import LABELS, THERMAL
 from tdgbench.splats import Gaussians

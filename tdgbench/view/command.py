@@ -10,7 +10,7 @@ import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 
-from tdgbench.bench.known_classes import add_trust_arguments, trust
+from tdgbench.cells.known_classes import add_trust_arguments, trust
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 from tdgbench.view.cells import open_cell, open_cells

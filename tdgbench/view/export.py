@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from markupsafe import Markup
 
-from tdgbench.bench import colours, stored_parts
-from tdgbench.bench.renders import background_of
+from tdgbench.bench import colours
+from tdgbench.cells import stored_parts
+from tdgbench.cells.renders import background_of
 from tdgbench.files import write_text
 from tdgbench.report.page import environment
 from tdgbench.scenes.modalities import THERMAL

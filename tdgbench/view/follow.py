@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.record import FILE, read_each, read_record
-from tdgbench.bench.stored_parts import MethodInTraining
+from tdgbench.cells.cameras import read_cameras
+from tdgbench.cells.paths import cell_folder_of
+from tdgbench.cells.record import FILE, read_each, read_record
+from tdgbench.cells.stored_parts import MethodInTraining
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
 from tdgbench.text import one_line

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tdgbench.bench.assumed import GRAY, state_assumptions, state_values
-from tdgbench.bench.record import PALETTE, read_all, read_record, schema_problems
+from tdgbench.cells.record import PALETTE, read_all, read_record, schema_problems
 from tdgbench.packs.write import private_paths
 from tdgbench.scenes.view_images import PALETTE as OF_SCENES
 from tests.helpers.records import record

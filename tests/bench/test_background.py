@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tdgbench.bench.read_files import read_picture
+from tdgbench.cells.read_files import read_picture
 from tdgbench.scoring import to_8bit
 from tdgbench.verify import verify_cell
 from tdgbench.view.cells import open_cell

@@ -9,8 +9,8 @@ import pytest
 from hydra.utils import instantiate
 from PIL import Image
 
-from tdgbench.bench.record import read_all
-from tdgbench.bench.renders import background_of, render_model, response_of
+from tdgbench.cells.record import read_all
+from tdgbench.cells.renders import background_of, render_model, response_of
 from tdgbench.scoring.metrics.psnr import psnr
 from tdgbench.scoring.scored_view import to_8bit
 from tdgbench.splats.ply import load_ply

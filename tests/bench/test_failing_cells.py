@@ -10,7 +10,7 @@ from tdgbench.bench import run_cell
 from tdgbench.bench.cell_phases import CellRun
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import read_all, schema_problems
+from tdgbench.cells.record import read_all, schema_problems
 from tdgbench.training.checkpoint import Checkpoint
 from tests.helpers.cells import fails, statuses
 

@@ -10,7 +10,7 @@ import torch
 
 from methods.gaussian_splatting import GaussianSplatting
 from tdgbench.bench.failures import REMEDIES, message, of_environment
-from tdgbench.bench.record import read_all, schema_problems
+from tdgbench.cells.record import read_all, schema_problems
 from tests.helpers.cells import fails, statuses
 
 

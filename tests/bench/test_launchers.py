@@ -12,7 +12,7 @@ import textwrap
 
 import pytest
 
-from tdgbench.bench.record import read_all
+from tdgbench.cells.record import read_all
 from tests.helpers.command import command
 from tests.helpers.configs import QUICK
 

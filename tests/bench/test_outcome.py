@@ -1,5 +1,5 @@
 from tdgbench.bench.outcome import Outcome, finished, finished_records
-from tdgbench.bench.record import Failure
+from tdgbench.cells.record import Failure
 from tests.helpers.records import record, write
 
 

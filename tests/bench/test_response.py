@@ -1,6 +1,6 @@
 import pytest
 
-from tdgbench.bench.record import read_all
+from tdgbench.cells.record import read_all
 from tests.helpers.cells import run_quietly
 from tests.helpers.configs import SMALL, config
 

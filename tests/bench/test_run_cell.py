@@ -8,12 +8,12 @@ from rich.console import Console
 from methods.gaussian_splatting import GaussianSplatting
 from tdgbench.bench import cell_phases
 from tdgbench.bench.lock import cell_lock
-from tdgbench.bench.paths import cell_folder_of
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import read_all
-from tdgbench.bench.renders import render_views
 from tdgbench.bench.run_cell import run_cell
-from tdgbench.bench.stored import hashes_of_content
+from tdgbench.cells.paths import cell_folder_of
+from tdgbench.cells.record import read_all
+from tdgbench.cells.renders import render_views
+from tdgbench.cells.stored import hashes_of_content
 from tdgbench.scenes import view_images
 from tdgbench.scenes.formats import decode
 from tdgbench.splats.ply import load_ply

@@ -5,8 +5,8 @@ import pytest
 from hydra.utils import instantiate
 from PIL import Image
 
-from tdgbench.bench.record import read_all
 from tdgbench.bench.scores import score_training_views, score_views, write_log, write_views
+from tdgbench.cells.record import read_all
 from tdgbench.scoring.lpips import LPIPS
 from tdgbench.training.loop import LogLine, TrainingLog
 from tests.helpers.configs import config

@@ -11,8 +11,8 @@ from methods.gaussian_splatting import GaussianSplatting
 from tdgbench.bench import run_cell
 from tdgbench.bench.cell_phases import CellRun
 from tdgbench.bench.lock import cell_lock
-from tdgbench.bench.paths import cell_folder_of, short_name
-from tdgbench.bench.record import SCHEMA, read_all, schema_problems
+from tdgbench.cells.paths import cell_folder_of, short_name
+from tdgbench.cells.record import SCHEMA, read_all, schema_problems
 from tests.helpers.cells import fails, hidden, statuses
 
 

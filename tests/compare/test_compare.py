@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from tdgbench.bench.record import read_record
+from tdgbench.cells.record import read_record
 from tdgbench.compare.causes import MACHINE, PROTOCOL, TRAINING, find_causes, settings
 from tdgbench.compare.cells import find_pairs, score_table
 from tdgbench.compare.command import main

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.experiments.thermal_camera import camera_errors
 from tdgbench.scenes.synthetic import ThermalErrors
 from tdgbench.scenes.synthetic.truth import CameraTruth

@@ -1,7 +1,7 @@
 import pytest
 
 from tdgbench.bench.outcome import Outcome
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.experiments import matrix
 from tdgbench.experiments.matrix import AxisValue, check_all_ran, groups_of, run_cells, table_of, values_of
 from tests.helpers.configs import config

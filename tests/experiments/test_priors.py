@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tdgbench.bench.record import read_all
+from tdgbench.cells.record import read_all
 from tdgbench.experiments.priors import Priors
 from tests.helpers.command import command_here
 from tests.helpers.configs import SMALL, config

@@ -1,7 +1,7 @@
 import pandas as pd
 import pytest
 
-from tdgbench.bench.record import Record, read_all
+from tdgbench.cells.record import Record, read_all
 from tdgbench.experiments.matrix import MatrixCell, run_cells, table_of
 from tdgbench.experiments.skips import NAMES, SkipAblation, axes, numbers, summary, variants, with_changes
 from tdgbench.training.skips import RULES, SWITCHES

@@ -14,8 +14,8 @@ import pytest
 import torch
 from hydra.utils import instantiate
 
-from tdgbench.bench.cameras import read_cameras
-from tdgbench.bench.record import Record, read_all, read_each
+from tdgbench.cells.cameras import read_cameras
+from tdgbench.cells.record import Record, read_all, read_each
 from tdgbench.priors import DepthPrior, PriorError
 from tdgbench.scenes import Scene
 from tdgbench.scoring import metrics

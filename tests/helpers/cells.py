@@ -6,8 +6,8 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record import read_all
 from tdgbench.bench.run_cell import Outcome, run_cell
+from tdgbench.cells.record import read_all
 
 
 def run_quietly(cfg: DictConfig, variant: str = "") -> Outcome:

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from tdgbench.__main__ import main
-from tdgbench.bench import known_classes
+from tdgbench.cells import known_classes
 from tests.helpers.paths import ROOT
 
 FILE = re.compile(r"^`([\w./]+)`[^`\n]*:\n\n```(?:python|yaml)\n(.*?)^```$", re.DOTALL | re.MULTILINE)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.record import Record
+from tdgbench.cells.paths import cell_folder_of
+from tdgbench.cells.record import Record
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables.published import published_ablation, published_main
 

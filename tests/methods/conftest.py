@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tdgbench.bench.record import Record, read_each
+from tdgbench.cells.record import Record, read_each
 from tests.helpers.cells import run_quietly
 from tests.helpers.configs import QUICK, config
 

@@ -13,8 +13,8 @@ import pytest
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench.record import read_all, read_each
 from tdgbench.bench.setup import set_up
+from tdgbench.cells.record import read_all, read_each
 from tdgbench.training.loop import train
 from tdgbench.verify.cell import verify_cell
 from tests.helpers.cells import run_quietly

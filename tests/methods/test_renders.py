@@ -12,8 +12,8 @@ import torch
 from PIL import Image
 
 from methods.renders import Renders
-from tdgbench.bench.renders import render_model, render_views
 from tdgbench.bench.setup import set_up
+from tdgbench.cells.renders import render_model, render_views
 from tdgbench.report.scene import scene_section
 from tdgbench.scenes import SceneError
 from tdgbench.splats.ply import load_ply

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tdgbench.bench.record import read_each
+from tdgbench.cells.record import read_each
 from tdgbench.files import MB
 from tdgbench.packs import limits, manifest, opened_pack, pack, unpack
 from tdgbench.packs.checklist import checklist

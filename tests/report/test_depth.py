@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tdgbench.bench.cameras import read_cameras
 from tdgbench.bench.colours import expected_depth
-from tdgbench.bench.record import read_each
-from tdgbench.bench.renders import render_model
+from tdgbench.cells.cameras import read_cameras
+from tdgbench.cells.record import read_each
+from tdgbench.cells.renders import render_model
 from tdgbench.report.views import depth_of
 from tdgbench.splats.ply import load_ply
 from tdgbench.tables.cell import Cell

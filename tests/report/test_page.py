@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from markupsafe import escape
 
-from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import Failure
+from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import Failure
 from tdgbench.report.page import write_report
 from tdgbench.tables.build import build_tables
 from tdgbench.terminal import printable

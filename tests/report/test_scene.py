@@ -4,9 +4,9 @@ import io
 import numpy as np
 from PIL import Image
 
-from tdgbench.bench.masks import read_mask
-from tdgbench.bench.record import read_all
 from tdgbench.bench.scores import read_views
+from tdgbench.cells.masks import read_mask
+from tdgbench.cells.record import read_all
 from tdgbench.report.scene import scene_section
 from tdgbench.tables.cell import finished_cells
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.bench.masks import write_mask
-from tdgbench.bench.paths import cell_folder_of
-from tdgbench.bench.record import Record, read_all
+from tdgbench.cells.masks import write_mask
+from tdgbench.cells.paths import cell_folder_of
+from tdgbench.cells.record import Record, read_all
 from tdgbench.report.strip import draw_strip
 from tests.helpers.records import record
 

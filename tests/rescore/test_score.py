@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.bench.metric_settings import metric_settings, scorer_of
-from tdgbench.bench.protocol import protocol_of
-from tdgbench.bench.record import FILE, Record, read_all, read_record
 from tdgbench.bench.scores import read_views
+from tdgbench.cells.metric_settings import metric_settings, scorer_of
+from tdgbench.cells.protocol import protocol_of
+from tdgbench.cells.record import FILE, Record, read_all, read_record
 from tdgbench.packs import pack
 from tdgbench.rescore import cell as rescore_cell
 from tdgbench.rescore.command import main, read_options

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.bench.record import read_all
-from tdgbench.bench.stored import hashes
+from tdgbench.cells.record import read_all
+from tdgbench.cells.stored import hashes
 from tdgbench.packs import pack
 from tdgbench.site.command import main
 from tdgbench.tables.long_table import metric_value

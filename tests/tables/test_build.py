@@ -4,8 +4,8 @@ import subprocess
 import pandas as pd
 import pytest
 
-from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import read_all
+from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import read_all
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.command import main
 from tdgbench.tables.measures import KEYS

@@ -1,7 +1,7 @@
 import pytest
 
-from tdgbench.bench.record import Failure, Record
 from tdgbench.bench.scores import write_views
+from tdgbench.cells.record import Failure, Record
 from tdgbench.scoring import METRICS
 from tdgbench.tables.cell import Cell, finished_cells
 

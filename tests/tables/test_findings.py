@@ -5,8 +5,8 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import Failure, read_all
+from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import Failure, read_all
 from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables.build import build_tables

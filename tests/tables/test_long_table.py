@@ -1,6 +1,6 @@
 import numpy as np
 
-from tdgbench.bench.record import Failure
+from tdgbench.cells.record import Failure
 from tdgbench.tables.build import build_tables
 from tests.helpers.records import write
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from tdgbench.bench.plan import Plan
+from tdgbench.cells.plan import Plan
 from tdgbench.report.page import write_report
 from tdgbench.resources import conf_folder
 from tdgbench.tables import methods

@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from tdgbench.bench.plan import Plan
+from tdgbench.cells.plan import Plan
 from tdgbench.scenes.view_images import PALETTE
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.palette import IN_SOME, WORDS, palette_notes

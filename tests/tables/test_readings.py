@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.bench.record import Failure, Record
+from tdgbench.cells.record import Failure, Record
 from tdgbench.tables.measures import AVERAGE, OVERALL
 from tdgbench.tables.readings import changes_as_text, effects, reading_cells, readings
 

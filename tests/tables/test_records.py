@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import FILE, Failure
+from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import FILE, Failure
 from tdgbench.scenes import Description
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.command import main

@@ -12,7 +12,7 @@ from PIL import Image
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from skimage.transform import downscale_local_mean
 
-from tdgbench.bench.record import FILE
+from tdgbench.cells.record import FILE
 from tdgbench.tables.cell import finished_cells
 from tdgbench.tables.command import main
 from tdgbench.tables.records import read_results

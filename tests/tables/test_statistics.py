@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import read_all
+from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import read_all
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.measures import KEYS
 from tdgbench.tables.methods import paper_pair

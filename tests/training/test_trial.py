@@ -9,8 +9,8 @@ import pytest
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from tdgbench.bench.record import read_each
 from tdgbench.bench.setup import set_up
+from tdgbench.cells.record import read_each
 from tdgbench.training import trial
 from tdgbench.training.trainer import Trainer
 from tdgbench.training.trial import try_rig

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.bench.key import cell_key
-from tdgbench.bench.record import Record
-from tdgbench.bench.stored import hashes
+from tdgbench.cells.key import cell_key
+from tdgbench.cells.record import Record
+from tdgbench.cells.stored import hashes
 from tdgbench.files import sha256_of
 from tdgbench.scoring import backbones
 from tdgbench.verify import verify_cell

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.bench.masks import read_mask
-from tdgbench.bench.record import read_record
-from tdgbench.bench.stored import hashes
+from tdgbench.cells.masks import read_mask
+from tdgbench.cells.record import read_record
+from tdgbench.cells.stored import hashes
 from tdgbench.verify import verify, verify_cell
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.bench.ground_truth import same_truth, stored_truth, truth_hash, truth_hashes
-from tdgbench.bench.record import read_record
-from tdgbench.bench.stored import hashes
+from tdgbench.cells.ground_truth import same_truth, stored_truth, truth_hash, truth_hashes
+from tdgbench.cells.record import read_record
+from tdgbench.cells.stored import hashes
 from tdgbench.compare.command import main as compare
 from tdgbench.packs import pack
 from tdgbench.scoring.metrics.psnr import psnr_of

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tdgbench.bench.read_files import read_picture
-from tdgbench.bench.record import Record, read_record
-from tdgbench.bench.stored import hashes
+from tdgbench.cells.read_files import read_picture
+from tdgbench.cells.record import Record, read_record
+from tdgbench.cells.stored import hashes
 from tdgbench.view.cells import open_cell, open_cells, short_names
 
 

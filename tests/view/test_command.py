@@ -11,7 +11,7 @@ import urllib.request
 
 import pytest
 
-from tdgbench.bench.stored import hashes
+from tdgbench.cells.stored import hashes
 from tdgbench.view.command import has_screen, main
 from tests.helpers.paths import ROOT
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from tdgbench.bench.colours import colored, shaded
-from tdgbench.bench.read_files import read_picture
-from tdgbench.bench.renders import render_model
+from tdgbench.cells.read_files import read_picture
+from tdgbench.cells.renders import render_model
 from tdgbench.scoring import to_8bit
 from tdgbench.view.cells import open_cells
 from tdgbench.view.poses import camera_of, pose_of

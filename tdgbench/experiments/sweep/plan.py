@@ -9,7 +9,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from tdgbench.bench.options import OptionError, check_options, names_to_text
-from tdgbench.bench.plan import IN_THE_PATH, Plan, configs_by, number_of_jobs, swept
+from tdgbench.cells.plan import IN_THE_PATH, Plan, configs_by, number_of_jobs, swept
 from tdgbench.experiments.experiment import prepare_prior
 from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import Dataset, Description, SceneError

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import Record, no_records
+from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import Record, no_records
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.cell import Cell, finished_cells

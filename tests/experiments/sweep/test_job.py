@@ -6,9 +6,9 @@ from datetime import datetime
 import pytest
 from omegaconf import OmegaConf
 
-from tdgbench.bench.plan import Plan
-from tdgbench.bench.record import read_all
 from tdgbench.bench.run_cell import Outcome
+from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import read_all
 from tdgbench.experiments.sweep.run import OUTCOME, read_outcomes, remaining_time, worker_threads
 from tests.helpers.command import command_here
 from tests.helpers.configs import QUICK

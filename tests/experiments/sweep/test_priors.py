@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from tdgbench.bench.record import read_all
+from tdgbench.cells.record import read_all
 from tdgbench.experiments.experiment import prepare_prior
 from tdgbench.experiments.sweep.plan import unavailable_priors
 from tdgbench.priors import PriorUnavailableError

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 
-from tdgbench.bench.key import relevant_config
+from tdgbench.cells.key import relevant_config
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.synthetic import ThermalErrors
 from tdgbench.scenes.synthetic.drifting import DriftingDataset, drifting

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.tables.cell import Cell
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tdgbench.bench.record import Failure, Record
+from tdgbench.cells.record import Failure, Record
 from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
 from tdgbench.tables.published import published_main
 from tests.helpers.records import write_record

@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims.quantities import first_at, loss_rise, psnr_drop, time_to_level
 

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAda
 from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
-from tdgbench.bench.read_files import read_text
+from tdgbench.cells.read_files import read_text
 from tdgbench.files import write_text
 from tdgbench.text import one_line, shortened
 

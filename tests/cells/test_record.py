@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tdgbench import __version__
-from tdgbench.bench.record import FILE, Failure, SkipRecord, read_all, read_record, schema_problems
+from tdgbench.cells.record import FILE, Failure, SkipRecord, read_all, read_record, schema_problems
 from tdgbench.training.skips import Skip
 from tests.helpers.records import record
 

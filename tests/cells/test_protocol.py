@@ -7,9 +7,9 @@ import hashlib
 import pandas as pd
 import pytest
 
-from tdgbench.bench.key import relevant_config
-from tdgbench.bench.protocol import VERSION, protocol_of, protocol_settings, protocols_apart
-from tdgbench.bench.record import read_all
+from tdgbench.cells.key import relevant_config
+from tdgbench.cells.protocol import VERSION, protocol_of, protocol_settings, protocols_apart
+from tdgbench.cells.record import read_all
 from tdgbench.scoring import backbones
 from tdgbench.scoring.backbones import TrunkSpec
 from tdgbench.tables.build import build_tables

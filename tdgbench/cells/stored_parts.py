@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from pydantic import TypeAdapter, ValidationError
 
-from tdgbench.bench.cameras import Cameras
-from tdgbench.bench.known_classes import method_of
-from tdgbench.bench.paths import files_of
-from tdgbench.bench.record import Record
-from tdgbench.bench.renders import background_of, blending_of
+from tdgbench.cells.cameras import Cameras
+from tdgbench.cells.known_classes import method_of
+from tdgbench.cells.paths import files_of
+from tdgbench.cells.record import Record
+from tdgbench.cells.renders import background_of, blending_of
 from tdgbench.files import whole_file
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats.ply import load_ply

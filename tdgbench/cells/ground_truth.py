@@ -12,10 +12,10 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tdgbench.bench.masks import has_mask, mask_path, read_mask
-from tdgbench.bench.paths import files_of
-from tdgbench.bench.read_files import MAX_PICTURE, read_named
-from tdgbench.bench.record import Record
+from tdgbench.cells.masks import has_mask, mask_path, read_mask
+from tdgbench.cells.paths import files_of
+from tdgbench.cells.read_files import MAX_PICTURE, read_named
+from tdgbench.cells.record import Record
 from tdgbench.files import content_of
 from tdgbench.scenes import View
 from tdgbench.scenes.modalities import THERMAL

@@ -12,10 +12,10 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from tdgbench.bench.masks import has_mask, read_mask, write_mask
-from tdgbench.bench.paths import files_of
-from tdgbench.bench.read_files import read_named
-from tdgbench.bench.record import Record
+from tdgbench.cells.masks import has_mask, read_mask, write_mask
+from tdgbench.cells.paths import files_of
+from tdgbench.cells.read_files import read_named
+from tdgbench.cells.record import Record
 from tdgbench.scenes import Camera, View
 from tdgbench.scenes.modalities import OTHERS, THERMAL, image_of
 from tdgbench.scoring import RenderedImages, to_8bit

@@ -1,7 +1,7 @@
 import pytest
 from omegaconf import OmegaConf
 
-from tdgbench.bench.plan import FILE, Plan, number_of_jobs, plan_of_job, read_plan, swept
+from tdgbench.cells.plan import FILE, Plan, number_of_jobs, plan_of_job, read_plan, swept
 from tdgbench.scenes import Description
 
 

@@ -3,8 +3,8 @@ import pytest
 import torch
 from PIL import Image
 
-from tdgbench.bench.record import Record
-from tdgbench.bench.renders import (
+from tdgbench.cells.record import Record
+from tdgbench.cells.renders import (
     blending_of,
     render_images,
     render_model,

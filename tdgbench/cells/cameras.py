@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tdgbench.bench.read_files import MAX_CAMERAS, MOST_PIXELS, read_text
+from tdgbench.cells.read_files import MAX_CAMERAS, MOST_PIXELS, read_text
 from tdgbench.files import write_text
 from tdgbench.scenes import Camera, Scene, SceneError
 from tdgbench.scenes.validate import check_camera

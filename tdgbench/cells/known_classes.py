@@ -15,7 +15,7 @@ from typing import Any
 from hydra.utils import get_class
 from omegaconf import OmegaConf
 
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.resources import conf_folder, import_from_working_folder
 from tdgbench.text import shortened
 from tdgbench.training.method import Method

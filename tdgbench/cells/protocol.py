@@ -10,8 +10,8 @@ import hashlib
 import json
 from typing import Any
 
-from tdgbench.bench.key import flat
-from tdgbench.bench.record import Record
+from tdgbench.cells.key import flat
+from tdgbench.cells.record import Record
 
 VERSION = 1  # raise it with every change of a metric, a split or a reader that changes a score
 MEASURED_ON = ("split", "channels", "temperature_range", "views", "masked")  # fields of Record, beside its data

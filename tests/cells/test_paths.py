@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tdgbench.bench.paths import LONGEST, cell_folder_of, folder_name, short_name
-from tdgbench.bench.record import Record, record_files
+from tdgbench.cells.paths import LONGEST, cell_folder_of, folder_name, short_name
+from tdgbench.cells.record import Record, record_files
 
 
 def record(**changes) -> Record:

@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.scenes.modalities import THERMAL
 
 # Files of a cell by relative path; every other file is a stranger there.

@@ -11,11 +11,11 @@ from unittest import mock
 import pytest
 import torch
 
-from tdgbench.bench import known_classes
-from tdgbench.bench.key import cell_key
-from tdgbench.bench.known_classes import UnknownMethodError, built, method_of
-from tdgbench.bench.record import Record, read_record
-from tdgbench.bench.stored import hashes
+from tdgbench.cells import known_classes
+from tdgbench.cells.key import cell_key
+from tdgbench.cells.known_classes import UnknownMethodError, built, method_of
+from tdgbench.cells.record import Record, read_record
+from tdgbench.cells.stored import hashes
 from tests.helpers.command import tdgbench, tdgbench_here
 
 CELL = "results/theirs/cells/tdg/synthetic/turntable/colmap/seed0"

@@ -16,7 +16,7 @@ from hydra.core.override_parser.types import Override, QuotedString
 from omegaconf import DictConfig, OmegaConf
 from pydantic import AliasChoices, ConfigDict, Field, TypeAdapter, ValidationError
 
-from tdgbench.bench.read_files import read_text
+from tdgbench.cells.read_files import read_text
 from tdgbench.files import write_text
 from tdgbench.scenes import Description
 

@@ -1,5 +1,5 @@
-from tdgbench.bench.record import FILE
-from tdgbench.bench.stored import hashes, hashes_of_content
+from tdgbench.cells.record import FILE
+from tdgbench.cells.stored import hashes, hashes_of_content
 
 EMPTY = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
 

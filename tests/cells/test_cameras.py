@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.bench.cameras import read_cameras, write_cameras
+from tdgbench.cells.cameras import read_cameras, write_cameras
 
 
 def test_round_trip(small_scene, tmp_path):

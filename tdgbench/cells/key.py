@@ -9,7 +9,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench.record import Record
+from tdgbench.cells.record import Record
 from tdgbench.scoring.backbones import own_weights
 from tdgbench.training.method import Method
 

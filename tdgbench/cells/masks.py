@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from tdgbench.bench.read_files import read_named
+from tdgbench.cells.read_files import read_named
 from tdgbench.scenes import View
 
 FOLDER = "masks"

@@ -4,9 +4,9 @@ import pytest
 from hydra.utils import instantiate
 
 from methods.gaussian_splatting import GaussianSplatting
-from tdgbench.bench.key import cell_key, relevant_config, why_differs
-from tdgbench.bench.record import Record
 from tdgbench.bench.setup import loader_of
+from tdgbench.cells.key import cell_key, relevant_config, why_differs
+from tdgbench.cells.record import Record
 from tests.helpers.configs import SMALL, config
 from tests.helpers.paths import ROOT
 

@@ -9,7 +9,7 @@ from typing import Any, NotRequired
 from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
-from tdgbench.bench.record import FILE
+from tdgbench.cells.record import FILE
 from tdgbench.scoring import LPIPSOptions, Scorer
 from tdgbench.scoring.backbones import own_weights
 from tdgbench.scoring.lpips import Net, Range

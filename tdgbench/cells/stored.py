@@ -8,9 +8,9 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-from tdgbench.bench.key import as_json
-from tdgbench.bench.paths import hidden_folder
-from tdgbench.bench.record import FILE, Failure, Record, read_record, record_files
+from tdgbench.cells.key import as_json
+from tdgbench.cells.paths import hidden_folder
+from tdgbench.cells.record import FILE, Failure, Record, read_record, record_files
 from tdgbench.files import put_in_place, sha256_of, whole_folder
 
 OF_TIMES = ("log.csv",)  # hold times, so that they differ between equal trainings

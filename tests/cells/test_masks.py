@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hydra.utils import instantiate
 
-from tdgbench.bench.masks import has_mask, masked_in_words, masked_share, read_mask, write_mask
-from tdgbench.bench.renders import render_views, write_renders
 from tdgbench.bench.scores import score_training_views
+from tdgbench.cells.masks import has_mask, masked_in_words, masked_share, read_mask, write_mask
+from tdgbench.cells.renders import render_views, write_renders
 from tdgbench.priors import PriorError
 from tdgbench.scenes import SceneError
 from tdgbench.training.loop import train

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tdgbench.bench import stored_parts
-from tdgbench.bench.cameras import Cameras
-from tdgbench.bench.masks import has_mask, read_mask
-from tdgbench.bench.paths import files_of
-from tdgbench.bench.read_files import read_named, read_picture
-from tdgbench.bench.record import Record
-from tdgbench.bench.renders import background_of, blending_of, depth_of, determinacy_of, render_model, response_of
-from tdgbench.bench.stored_parts import StoredMethod
+from tdgbench.cells import stored_parts
+from tdgbench.cells.cameras import Cameras
+from tdgbench.cells.masks import has_mask, read_mask
+from tdgbench.cells.paths import files_of
+from tdgbench.cells.read_files import read_named, read_picture
+from tdgbench.cells.record import Record
+from tdgbench.cells.renders import background_of, blending_of, depth_of, determinacy_of, render_model, response_of
+from tdgbench.cells.stored_parts import StoredMethod
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.modalities import OTHERS, THERMAL
 from tdgbench.scenes.scene import TemperatureRange
