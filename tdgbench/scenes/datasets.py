@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
+
+from pydantic import AfterValidator
 
 from tdgbench.scenes import registry
 from tdgbench.scenes.errors import MissingScenesError, SceneError
@@ -15,7 +18,18 @@ from tdgbench.scenes.options import Description, FolderPath, ReadOptions
 from tdgbench.scenes.read import Outline, outline_scene
 from tdgbench.scenes.scene import Scene
 
-FolderLayout = Literal["thermoscenes", "ti_nsd"]  # of data sets whose scenes may be in <root>/<title>
+
+def _one_of(names: Iterable[str]) -> AfterValidator:
+    def check(name: str) -> str:
+        if name not in names:
+            raise ValueError(f"must be one of {', '.join(names)}")
+        return name
+
+    return AfterValidator(check)
+
+
+LayoutName = Annotated[str, _one_of(LAYOUTS)]
+PaperDataset = Annotated[str, _one_of(registry.DATASETS)]
 
 
 class Dataset(Protocol):
@@ -62,7 +76,7 @@ def outline_of(dataset: Dataset, name: str | None) -> Outline:
 
 
 class RegisteredDataset(Outlines):
-    """The paper's scenes of one data set, `rgbt_scenes` or `thermalmix`, or of both (None).
+    """The paper's scenes of one data set, a key of `registry.DATASETS`, or of all (None).
 
     Folders: <root>/RGBT-Scenes/<Scene>, <root>/ThermalMix/<Scene>.
 
@@ -73,9 +87,7 @@ class RegisteredDataset(Outlines):
     Description(scene='Lion', dataset='ThermalMix', group='360')
     """
 
-    def __init__(
-        self, root: FolderPath, options: ReadOptions, dataset: Literal["rgbt_scenes", "thermalmix"] | None = None
-    ) -> None:
+    def __init__(self, root: FolderPath, options: ReadOptions, dataset: PaperDataset | None = None) -> None:
         self.root = Path(root)
         self.options = options
         self.dataset = dataset
@@ -137,7 +149,7 @@ class FolderDataset(Outlines):
     <root>/ThermoScenes; None detects the layout of each scene.
     """
 
-    def __init__(self, root: FolderPath, options: ReadOptions, layout: FolderLayout | None = None) -> None:
+    def __init__(self, root: FolderPath, options: ReadOptions, layout: LayoutName | None = None) -> None:
         self.layout = None if layout is None else LAYOUTS[layout]
         self.root = Path(root)
         self.options = options

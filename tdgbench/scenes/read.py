@@ -18,13 +18,14 @@ from tdgbench.scenes.geometry import judged
 from tdgbench.scenes.images import read_image, with_channels
 from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
-from tdgbench.scenes.layouts.layout import Mask, by_view, find_images
+from tdgbench.scenes.layouts.layout import by_view, find_images
+from tdgbench.scenes.names import in_case_alone
 from tdgbench.scenes.options import Description, ReadOptions, split_names
 from tdgbench.scenes.registry import sensor_of
 from tdgbench.scenes.scene import Scene, View, read_map
-from tdgbench.scenes.thermal import thermal_images
+from tdgbench.scenes.thermal import ThermalRequest, thermal_images
 from tdgbench.scenes.validate import check_camera
-from tdgbench.scenes.view_images import ImageSource, ThermalImages, native_camera, resample
+from tdgbench.scenes.view_images import ImageSource, Mask, ThermalImages, native_camera, resample
 from tdgbench.text import first_few
 
 RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
@@ -91,8 +92,9 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         },
     )  # fmt: skip
     scene = judged(scene)
-    published = layout.published(description.scene)
-    return Outline(scene, lambda: _with_images(scene, thermal_images(scene_files, sources, train, options, published)))
+    request = ThermalRequest(description.scene, sources, train, options, scene_files.radiometry)
+    read = scene_files.read_thermal or thermal_images
+    return Outline(scene, lambda: _with_images(scene, read(request.with_range())))
 
 
 def _with_images(scene: Scene, images: ThermalImages) -> Scene:
@@ -109,8 +111,8 @@ def _with_images(scene: Scene, images: ThermalImages) -> Scene:
 
 
 def _radiometric_files(folder: Path, scene_files: SceneFiles) -> dict[str, Path]:
-    """Return files with temperatures, by view name: the cameras' own, unless the layout's thermal files are in °C."""
-    if scene_files.in_celsius:
+    """Return files with temperatures, by view name: the cameras' own, unless the layout has read_thermal."""
+    if scene_files.read_thermal is not None:
         return scene_files.thermal
     if not is_folder(folder / RAW_IMAGES):
         raise SceneError(
@@ -131,19 +133,18 @@ def _paired(
     folder: Path, posed: Mapping[str, RegisteredImage], thermal: Mapping[str, Path]
 ) -> tuple[list[str], list[str]]:
     """Return names of the views with a pose and a thermal image, and notes on the others."""
-    notes = []
-    unposed = sorted(set(thermal) - set(posed))
+    names = sorted(posed.keys() & thermal.keys())
+    unposed, unpaired = sorted(thermal.keys() - posed.keys()), sorted(posed.keys() - thermal.keys())
+    alike = in_case_alone(unposed, unpaired)
+    if not names:
+        some = f"thermal: {unposed[:2]}, poses: {unpaired[:2]}"
+        why = f"in case alone differ {alike}; rename them" if alike else some
+        raise SceneError(f"{folder}: no thermal image has the name of a view with a pose ({why})")
+    notes = [f"thermal images without a pose may be views in another case: {alike}; rename them"] if alike else []
     if unposed:
         notes.append(f"{len(unposed)} thermal images have no pose and are omitted: {first_few(unposed)}")
-    unpaired = sorted(set(posed) - set(thermal))
     if unpaired:
         notes.append(f"{len(unpaired)} posed views have no thermal image and are omitted: {first_few(unpaired)}")
-    names = sorted(set(posed) & set(thermal))
-    if not names:
-        raise SceneError(
-            f"{folder}: no thermal image has the name of a view with a pose "
-            f"(thermal: {sorted(thermal)[:2]}, poses: {sorted(posed)[:2]})"
-        )
     return names, notes
 
 

@@ -14,7 +14,6 @@ from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats import Header, decode
 from tdgbench.scenes.images import is_gray, resize, unit_image, with_channels
-from tdgbench.scenes.layouts.layout import Mask
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 
@@ -22,6 +21,13 @@ ASPECT_TOLERANCE = 0.01
 LOSSY = ("JPEG", "MPO", "WEBP")
 PALETTE = "palette (pseudo-colour), not temperature"
 UNMEASURED = 0.0  # image value of pixels that are not valid
+
+
+class Mask(NamedTuple):
+    """A picture that hides pixels of a view: where it is black; inverted: where it is not."""
+
+    path: Path
+    inverted: bool = False
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
 from tdgbench.data.check.model import wrong_views
 from tdgbench.scenes import Dataset, FolderDataset, ReadOptions, RegisteredDataset, Scene, SceneError, registry
-from tdgbench.scenes.datasets import FolderLayout, outline_of
+from tdgbench.scenes.datasets import outline_of
 from tdgbench.scenes.formats import SUFFIXES, decode
 from tdgbench.scenes.inputs import is_folder, is_hidden, listed
-from tdgbench.scenes.layouts import detect
+from tdgbench.scenes.layouts import LAYOUTS, detect
 from tdgbench.scenes.registry import plain_name
 
 MOST_PROBLEMS = 20  # of a scene, in words
@@ -76,7 +76,7 @@ def find_place(root: Path, split: str) -> Place:
     titles = {plain_name(title): key for key, title in registry.DATASETS.items()}
     key = titles.get(plain_name(root.resolve().name))
     if key is not None and is_folder(root):
-        dataset = RegisteredDataset(str(root.resolve().parent), options, key)  # type: ignore[arg-type]
+        dataset = RegisteredDataset(str(root.resolve().parent), options, key)
         parent = root.resolve().parent if root.name in ("", "..") else root.parent
         return Place(parent, dataset, dataset.names(), is_paper=True)
     paper = RegisteredDataset(str(root), options)
@@ -86,7 +86,7 @@ def find_place(root: Path, split: str) -> Place:
     names = folder.names()
     if names:
         return Place(root, folder, names, is_paper=False)
-    for layout in get_args(FolderLayout):  # a data set's folder inside a data root, as `data get` makes it
+    for layout in LAYOUTS:  # a data set's folder inside a data root, as `data get` makes it
         inside = FolderDataset(str(root), options, layout)
         if names := inside.names():
             return Place(root, inside, names, is_paper=False)

@@ -21,22 +21,17 @@ from tdgbench.scenes.colmap.model import image_keys
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import check_view_name, is_folder, is_there, listed, regular_file
-from tdgbench.scenes.names import about_unread, in_case_alone, key, of_modality, pair, view_names
-from tdgbench.scenes.scene import PointCloud, TemperatureRange
+from tdgbench.scenes.names import about_unread, key, of_modality, pair, view_names
+from tdgbench.scenes.scene import PointCloud
 from tdgbench.scenes.temperature import FILE, Radiometry, read_radiometry
+from tdgbench.scenes.thermal import ThermalRequest
+from tdgbench.scenes.view_images import Mask, ThermalImages
 from tdgbench.text import first_few
 
 DYNAMIC = "dynamic_mask_"
 MASKS = "masks"
 SPLITS = ("train", "test")
 SAME_POSE = 1e-6  # largest difference between poses of one camera
-
-
-class Mask(NamedTuple):
-    """A picture that hides pixels of a view: where it is black; inverted: where it is not."""
-
-    path: Path
-    inverted: bool = False
 
 
 @dataclass(frozen=True)
@@ -49,10 +44,9 @@ class SceneFiles:
     rgb: dict[str, Path] = field(default_factory=dict)
     shipped: dict[str, str] = field(default_factory=dict)  # `train` or `test`
     radiometry: Radiometry | None = None  # of 8- and 16-bit images
-    in_celsius: bool = False  # thermal files are arrays (H, W) or (H, W, 1) of °C, or gray images of a known range
+    read_thermal: Callable[[ThermalRequest], ThermalImages] | None = None  # None: as images or cameras' files are read
     files: list[Path] = field(default_factory=list)  # besides images and masks: what the scene is read from
     notes: list[str] = field(default_factory=list)  # what is doubtful about it
-    unwarped: dict[str, Path] = field(default_factory=dict)  # gray thermal images before they were warped
     masks: dict[str, Mask] = field(default_factory=dict)
     assumed: dict[str, str] = field(default_factory=dict)  # as of Scene
     model: Path | None = None  # folder of the COLMAP model
@@ -70,12 +64,11 @@ class Images(NamedTuple):
 class Layout:
     """How the folder of a scene is organised."""
 
-    name: str  # option `dataset`
-    title: str  # as results and messages name it
+    name: str  # of the data set that is shipped in it; option `dataset`
+    title: str  # of the data set, as results, messages and folders name it
     looks: str  # inside the folder of a scene, in one line
     fits: Callable[[Path], bool]  # whether a folder has this layout; raises SceneError if that cannot be told
     find: Callable[[Path], SceneFiles]  # raises SceneError naming the file and the remedy
-    published: Callable[[str], TemperatureRange | None] = lambda name: None  # °C of gray images, by a scene's name
 
 
 def find_scene(
@@ -93,12 +86,6 @@ def find_scene(
     place, assumed, notes = _chosen_model(folder, places, title, thermal, modality)
     posed, points, others = read_model(place, modality)
     shown = by_view(folder, thermal, posed)
-    unposed, unseen = sorted(shown.paths.keys() - posed.keys()), sorted(posed.keys() - shown.paths.keys())
-    alike = in_case_alone(unposed, unseen)
-    if len(unposed) == len(shown.paths):
-        why = f"in case alone differ {alike}; rename them" if alike else f"thermal: {unposed[:2]}, poses: {unseen[:2]}"
-        raise SceneError(f"{folder}: no thermal image has the name of a view with a pose ({why})")
-    notes += [f"thermal images without a pose may be views in another case: {alike}; rename them"] if alike else []
     pictures, unpaired = _registered_pairs(folder, rgb, posed, others)
     files = [*(path for path in listed(place) if path.is_file()), *([folder / FILE] if is_there(folder / FILE) else [])]
     masks, about = find_masks(folder, posed, (shown.paths, pictures))
@@ -108,12 +95,8 @@ def find_scene(
     )  # fmt: skip
 
 
-def model_folder(folder: Path, places: Iterable[str]) -> Path | None:
-    """Return the first of `places` that is a folder, or None; for `0`, the first of COLMAP's numbered models."""
-    return next(iter(_model_folders(folder, places)), None)
-
-
-def _model_folders(folder: Path, places: Iterable[str]) -> list[Path]:
+def model_folders(folder: Path, places: Iterable[str]) -> list[Path]:
+    """Return the first of `places` that is a folder; for `0`, all of COLMAP's numbered models there."""
     for place in (folder / name for name in places):
         numbered = listed(place.parent) if place.name == "0" and is_folder(place.parent) else []
         numbered = [path for path in numbered if path.name.isdecimal() and is_folder(path)]
@@ -126,7 +109,7 @@ def _chosen_model(
     folder: Path, places: Iterable[str], title: str, thermal: Images, modality: tuple[str, str]
 ) -> tuple[Path, dict[str, str], list[str]]:
     """Return the folder of the model that poses most thermal images, what is assumed, and notes."""
-    found = _model_folders(folder, places)
+    found = model_folders(folder, places)
     if not found:
         first = next(iter(places))
         raise SceneError(

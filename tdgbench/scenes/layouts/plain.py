@@ -17,7 +17,8 @@ from pathlib import Path
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import is_folder
-from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, find_images, find_scene, model_folder
+from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, find_images, find_scene, model_folders
+from tdgbench.scenes.registry import DATASETS
 
 MODELS = ("sparse/0", "sparse", "colmap/sparse/0")
 
@@ -35,7 +36,7 @@ def _find(folder: Path, images: str, rgb: str | None = None) -> SceneFiles:
 
 RGBT_SCENES = Layout(
     "rgbt_scenes",
-    "RGBT-Scenes",
+    DATASETS["rgbt_scenes"],
     "{rgb,thermal}/[train|test/]<view>.png, sparse/0 (COLMAP), [temperature.json]",
     lambda folder: is_folder(folder / "thermal"),
     partial(_find, images="thermal", rgb="rgb"),
@@ -44,6 +45,6 @@ TI_NSD = Layout(
     "ti_nsd",
     "TI-NSD",
     "images/<view>.png (thermal alone), sparse/0 (COLMAP)",
-    lambda folder: is_folder(folder / "images") and model_folder(folder, MODELS) is not None,
+    lambda folder: is_folder(folder / "images") and bool(model_folders(folder, MODELS)),
     partial(_find, images="images"),
 )

@@ -2,33 +2,56 @@
 
 Facts of the download: mert-o/ThermalNeRFs e1d4e26, img_temp_mapper.py, which the authors' readme runs after it:
 `warped_thermal/<view>.jpg` has the names of `thermal/<view>.jpg`, the images before the warp, and spans the scene's
-PUBLISHED range; `warped_thermal/<view>.npy` in °C (`scenes/warped.py`) is what that script writes.
+PUBLISHED range; `warped_thermal/<view>.npy` in °C is what that script writes.
 
 Facts of the loader: mert-o/thermalnerfs 140ea83, nerf/colmap_provider.py: the model is in the first of three places;
 RGB in `images_<downscale>`, `rgb` or `images`, with `.jpg` on disk where the model says `.JPG`; it reads the arrays.
 Views without files are left out. That loader takes cameras SIMPLE_RADIAL, SIMPLE_PINHOLE, PINHOLE and OPENCV and
 ignores their distortion; here RGB, temperatures and masks are undistorted alike. Its `downscale` is 1 by default, so
 `images_1` comes first and a smaller copy last.
+
+Facts of the filler: pixels of `warped_thermal/<view>.jpg` that are darker than every pixel of `thermal/<view>.jpg` are
+the warp's filler. The authors raise them to that minimum and save the array; here they are masked. Both images are
+JPEGs. A measured pixel may be a few levels below the minimum by their noise, and a filler spoils the blocks that it is
+in. So a region below the minimum is filler if as many of its pixels as a block has are nearer to black than to the
+minimum; it grows to whole blocks. Noise is raised to the minimum, as the authors do. A minimum that is itself nearly
+black tells nothing: then, and without an image before the warp, fillers are found as in arrays (`fillers.py`).
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+from scipy import ndimage
+
 from tdgbench.scenes.errors import SceneError
+from tdgbench.scenes.fillers import grown
+from tdgbench.scenes.formats import decode
+from tdgbench.scenes.images import unit_image
 from tdgbench.scenes.inputs import is_folder, listed
 from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, by_view, find_images, find_scene
-from tdgbench.scenes.registry import registered
+from tdgbench.scenes.registry import DATASETS, registered
 from tdgbench.scenes.scene import TemperatureRange
-from tdgbench.scenes.warped import PICTURES
+from tdgbench.scenes.temperature import Radiometry
+from tdgbench.scenes.thermal import Temperatures, ThermalRequest, measured_images, read_temperatures
+from tdgbench.scenes.view_images import ThermalImages
+from tdgbench.text import first_few
 
 MODELS = ("colmap_sparse/0", "sparse/0", "colmap/sparse/0")
 WARPED = "warped_thermal"
 UNWARPED = "thermal"
-TITLE = "ThermalMix"
+PICTURES = (".jpg", ".jpeg", ".png")
+JPEG = (".jpg", ".jpeg")
+BLOCK = 8  # px, side of a JPEG's blocks
+NOISE = 4 / 255  # image value; minima below it cannot be told from black
+MOST_COLOR = 8 / 255  # image value; by which channels of a gray image may differ
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R 601, as OpenCV reads colour images as gray
 
 # °C of black and white. Source: `min_max` of mert-o/ThermalNeRFs e1d4e2647a, img_temp_mapper.py.
 PUBLISHED = {
@@ -62,11 +85,12 @@ def _find(folder: Path) -> SceneFiles:
         )
     photos = _rgb_folder(folder)
     rgb = Images({}, {}, []) if photos is None else find_images(photos)
-    found = find_scene(folder, MODELS, TITLE, ("rgb", UNWARPED), thermal, rgb)
+    found = find_scene(folder, MODELS, LAYOUT.title, ("rgb", UNWARPED), thermal, rgb)
     before = by_view(folder, find_images(folder / UNWARPED, PICTURES), found.posed).paths
-    shown = {view for view, path in found.thermal.items() if path.suffix.lower() in PICTURES}
+    shown = {view for view, path in found.thermal.items() if is_picture(path)}
     unwarped = {view: path for view, path in before.items() if view in shown}
-    return replace(found, in_celsius=True, files=[*found.files, *unwarped.values()], unwarped=unwarped)
+    read = partial(_read_thermal, unwarped=unwarped)
+    return replace(found, files=[*found.files, *unwarped.values()], read_thermal=read)
 
 
 def _rgb_folder(folder: Path) -> Path | None:
@@ -76,12 +100,101 @@ def _rgb_folder(folder: Path) -> Path | None:
     return next((folder / name for name in ("images_1", "rgb", "images", *smaller) if is_folder(folder / name)), None)
 
 
+def _read_thermal(request: ThermalRequest, unwarped: Mapping[str, Path]) -> ThermalImages:
+    """Read temperatures from arrays, and from gray images of a known range."""
+    pictures = [name for name, source in request.sources.items() if is_picture(source.path)]
+    if not pictures:
+        return measured_images(request, request.reader)
+    notes, how = [], "gray, of known °C"
+    if request.radiometry is None:
+        published = published_range(request.scene)
+        if published is None:
+            raise SceneError(
+                f"{request.sources[pictures[0]].path.parent} holds gray images, and no temperatures of black and white "
+                "are published for a scene of this name; set data.temperature=[min,max] in °C, or add temperature.json"
+            )
+        how = f"gray; black and white are {published.min:g} and {published.max:g} °C, as published"
+        request = replace(request, radiometry=Radiometry(published))
+    if arrays := len(request.sources) - len(pictures):
+        notes.append(f"{arrays} views are read from arrays, {len(pictures)} from gray images: {first_few(pictures)}")
+    alone = [name for name in pictures if name not in unwarped]
+    mask = request.options.fillers is None
+    if alone and mask:
+        notes.append(
+            f"{len(alone)} gray images have none from before the warp; only constant fillers are found: "
+            f"{first_few(alone)}"
+        )
+    assert request.radiometry is not None
+    images = measured_images(request, WarpedPictures(request.radiometry, unwarped, mask))
+    return replace(images, notes=[*notes, *images.notes], assumed={**images.assumed, "values": how})
+
+
+@dataclass(frozen=True)
+class WarpedPictures:
+    """Warped gray images and what their values mean. Called with a path, it reads the temperatures.
+
+    unwarped: images before the warp, by view name. mask: whether fillers are masked; else all are raised. Views may
+    have .npy files instead.
+    """
+
+    radiometry: Radiometry
+    unwarped: Mapping[str, Path]
+    mask: bool
+
+    def __call__(self, path: Path) -> Temperatures:
+        if not is_picture(path):
+            return read_temperatures(path, self.radiometry.scale)
+        image, before = self._gray(path), self.unwarped.get(path.stem)
+        block = BLOCK if path.suffix.lower() in JPEG else 1
+        filler = None
+        if before is not None:
+            lowest = float(self._gray(before).min())
+            if self.mask and lowest >= NOISE:
+                filler = filler_below(image, lowest, block)
+            image = np.maximum(image, np.float32(lowest))
+        span = self.radiometry.range
+        degC = (span.min * (1 - image.astype(np.float64)) + span.max * image).astype(np.float32)
+        if filler is not None:
+            degC[filler] = np.nan
+        return Temperatures(degC, filler is not None, block, ends=True)
+
+    def _gray(self, path: Path) -> np.ndarray:
+        """Return the image (H, W) float32 in [0, 1]. Raises SceneError for one in colours."""
+        image = unit_image(decode(path, as_picture=True), path, self.radiometry)
+        if np.ptp(image, axis=2).max() > MOST_COLOR:
+            raise SceneError(
+                f"{path} is in colours, but temperatures are read from gray images; replace it by the gray image, or "
+                f"put {path.stem}.npy in °C beside it"
+            )
+        return image[..., 0] if image.shape[2] == 1 else image @ LUMA
+
+
+def is_picture(path: Path) -> bool:
+    """Return whether a file is an image of temperatures, not an array.
+
+    >>> is_picture(Path("1.JPG")), is_picture(Path("1.npy"))
+    (True, False)
+    """
+    return path.suffix.lower() in PICTURES
+
+
+def filler_below(image: np.ndarray, lowest: float, block: int) -> np.ndarray:
+    """Return pixels (H, W) bool of an image (H, W) that are a warp's filler, or spoiled by it.
+
+    lowest: of the image before the warp. block: side of the blocks in which a filler spoils its neighbours, px.
+    """
+    labels, count = ndimage.label(image < lowest)
+    dark = np.bincount(labels[image <= lowest / 2], minlength=count + 1)
+    is_filler = dark >= BLOCK**2
+    is_filler[0] = False  # pixels that are not below the minimum
+    return grown(is_filler[labels], block)
+
+
 LAYOUT = Layout(
     "thermalmix",
-    TITLE,
+    DATASETS["thermalmix"],
     f"{WARPED}/<view>.jpg (gray) with {UNWARPED}/<view>.jpg, or {WARPED}/<view>.npy (°C), rgb/ or images/, "
     "colmap_sparse/0, sparse/0 or colmap/sparse/0 (COLMAP)",
     lambda folder: is_folder(folder / WARPED),
     _find,
-    published_range,
 )

@@ -16,7 +16,7 @@ from typing import Any
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import is_there, regular_file
-from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, by_view, find_images, find_masks, model_folder
+from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, by_view, find_images, find_masks, model_folders
 from tdgbench.scenes.layouts.transforms import POINTS, Transforms, read_points, read_transforms, there, where_they_are
 from tdgbench.scenes.temperature import BOUNDS_FILE, BOUNDS_KEYS, FILE, read_radiometry
 
@@ -26,7 +26,7 @@ TITLE = "ThermoScenes"
 
 def _fits(folder: Path) -> bool:
     """Return whether a folder has this layout and no COLMAP model where RGBT-Scenes has it."""
-    return _json_file(folder) is not None and model_folder(folder, ("sparse/0", "sparse")) is None
+    return _json_file(folder) is not None and not model_folders(folder, ("sparse/0", "sparse"))
 
 
 def _find(folder: Path) -> SceneFiles:
