@@ -7,9 +7,9 @@ from PIL import Image
 from scipy import ndimage
 
 from tdgbench.scenes import SceneError
+from tdgbench.scenes.layouts.thermalmix import BLOCK, WarpedPictures, filler_below, is_picture
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
-from tdgbench.scenes.layouts.thermalmix import BLOCK, WarpedPictures, filler_below, is_picture
 
 H, W = 120, 160
 RANGE = Radiometry(TemperatureRange(20.0, 45.5))  # 0.1 °C a level

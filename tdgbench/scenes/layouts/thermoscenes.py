@@ -21,7 +21,6 @@ from tdgbench.scenes.layouts.transforms import POINTS, Transforms, read_points, 
 from tdgbench.scenes.temperature import BOUNDS_FILE, BOUNDS_KEYS, FILE, read_radiometry
 
 JSON_FILES = ("transforms.json", "transforms_thermal.json")
-TITLE = "ThermoScenes"
 
 
 def _fits(folder: Path) -> bool:
@@ -35,32 +34,14 @@ def _find(folder: Path) -> SceneFiles:
         raise SceneError(f"{folder} has no {JSON_FILES[0]}; the layout is {LAYOUT.looks}")
     content = read_transforms(path)
     posed = {name: frame.posed for name, frame in content.frames.items()}
-    unnamed = any(frame.thermal_file is None for frame in content.frames.values())
-    images = by_view(folder, find_images(folder / "thermal") if unnamed else Images({}, {}, []), posed)
-    thermal, rgb, stated = {}, {}, {}
-    for name, frame in content.frames.items():
-        where = f"{path}: frame {name}"
-        own = frame.thermal_file
-        place = images.paths.get(name) if own is None else there(folder / own)
-        if place is not None:
-            thermal[name] = _image(place, where)
-        if frame.file != own and (photo := there(folder / frame.file)) is not None:
-            rgb[name] = _image(photo, where)
-        if frame.mask is not None:
-            stated[name] = _image(folder / frame.mask, where)
-    if not thermal:
-        raise SceneError(
-            f"{path} names no thermal image that is there (read as {TITLE}); put <view>.png of each frame into "
-            f"{folder / 'thermal'}, or name it with thermal_file_path"
-        )
+    thermal, rgb, stated, notes = _files(folder, path, content)
     bounds = read_radiometry(folder / BOUNDS_FILE, BOUNDS_KEYS) or read_radiometry(folder / FILE)
     files = [path, *(folder / name for name in (BOUNDS_FILE, FILE) if is_there(folder / name))]
-    unknown = [] if bounds else [f"there is no {BOUNDS_FILE}, so no temperature of image values is known"]
-    notes = [*images.notes, *unknown]
+    if bounds is None:
+        notes.append(f"there is no {BOUNDS_FILE}, so no temperature of image values is known")
     masks, about = find_masks(folder, posed, (thermal, rgb), stated)
     assumed = {**content.assumed, **about}
-    ply = folder / (content.points or POINTS)
-    points = None
+    ply, points = folder / (content.points or POINTS), None
     if is_there(ply):
         cloud, colors = read_points(ply)
         points, moved = where_they_are(cloud, content.applied_transform, [image.camera for image in posed.values()])
@@ -71,6 +52,32 @@ def _find(folder: Path) -> SceneFiles:
         notes.append(f"{path.name} names the points {content.points}, which are not there")
     return SceneFiles(posed, points, thermal, rgb, _shipped(content), bounds, files=files, notes=notes, masks=masks,
                       assumed=assumed)  # fmt: skip
+
+
+def _files(
+    folder: Path, path: Path, content: Transforms
+) -> tuple[dict[str, Path], dict[str, Path], dict[str, Path], list[str]]:
+    """Return files by view name, of thermal images, RGB images and stated masks; and notes."""
+    unnamed = any(frame.thermal_file is None for frame in content.frames.values())
+    images = find_images(folder / "thermal") if unnamed else Images({}, {}, [])
+    by_name = by_view(folder, images, {name: frame.posed for name, frame in content.frames.items()}).paths
+    thermal, rgb, masks = {}, {}, {}
+    for name, frame in content.frames.items():
+        where = f"{path}: frame {name}"
+        own = frame.thermal_file
+        place = by_name.get(name) if own is None else there(folder / own)
+        if place is not None:
+            thermal[name] = _image(place, where)
+        if frame.file != own and (photo := there(folder / frame.file)) is not None:
+            rgb[name] = _image(photo, where)
+        if frame.mask is not None:
+            masks[name] = _image(folder / frame.mask, where)
+    if not thermal:
+        raise SceneError(
+            f"{path} names no thermal image that is there (read as {LAYOUT.title}); put <view>.png of each frame into "
+            f"{folder / 'thermal'}, or name it with thermal_file_path"
+        )
+    return thermal, rgb, masks, images.notes
 
 
 def _json_file(folder: Path) -> Path | None:
@@ -95,5 +102,9 @@ def _shipped(content: Transforms) -> dict[str, str]:
 
 
 LAYOUT = Layout(
-    "thermoscenes", TITLE, f"transforms.json (nerfstudio), images/, thermal/, {BOUNDS_FILE}, [{POINTS}]", _fits, _find
+    "thermoscenes",
+    "ThermoScenes",
+    f"transforms.json (nerfstudio), images/, thermal/, {BOUNDS_FILE}, [{POINTS}]",
+    _fits,
+    _find,
 )

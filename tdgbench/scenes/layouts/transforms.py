@@ -35,6 +35,13 @@ from tdgbench.text import shortened
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])  # axes of a camera
 FISHEYE = "OPENCV_FISHEYE"
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+PERSPECTIVE = ("PINHOLE", "OPENCV", "FULL_OPENCV")  # the first that has all parameters that are not 0 is taken
+PARAMETERS = {  # after the principal point, as COLMAP has them; -: 0, as k4 is a fisheye's in these files
+    "PINHOLE": (),
+    "OPENCV": ("k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("k1", "k2", "p1", "p2", "k3", "-", "-", "-"),
+    FISHEYE: ("k1", "k2", "k3", "k4"),
+}  # type: dict[str, tuple[str, ...]]
 # Keys that change cameras or pixels and are not honoured: refused unless they are 0, false or empty. Others, such as
 # scale, aabb_scale or orientation_override, change the world of poses and points alike, or nothing that is read here.
 REFUSED = (
@@ -156,25 +163,20 @@ def read_transforms(path: Path) -> Transforms:
         )
     parsed = [_parsed(_Frame, values, f"{path}: frame {number}") for number, values in enumerate(file.frames)]
     names = view_names([key(str(frame.file_path)) for frame in parsed], str(path))
-    cameras: dict[CameraEntry, tuple] = {}
+    pinholes: dict[CameraEntry, tuple] = {}
     frames: dict[str, TransformsFrame] = {}
     assumed: set[str] = set()
     for frame, values, (one, name) in zip(parsed, file.frames, names.items(), strict=True):
         where = f"{path}: frame {name}"
-        _check_keys(values, where)
-        stated = _stated(content, values, where)
-        if {"w", "h"}.isdisjoint(stated) and (image := there(path.parent / frame.file_path)) is not None:
-            size = header(image, as_picture=True)
-            stated |= {"w": size.width, "h": size.height}
-            assumed.add("w and h are the image's")
-        entry = _camera_entry(_parsed(_Intrinsics, stated, where), where, assumed)
-        if entry not in cameras:
-            cameras[entry] = to_pinhole(entry, where)
-        pinhole, undistortion = cameras[entry]
+        lens, missing = _lens(content, values, path.parent / frame.file_path, where)
+        assumed |= missing
+        if lens not in pinholes:
+            pinholes[lens] = to_pinhole(lens, where)
+        pinhole, undistortion = pinholes[lens]
         to_world = frame.transform_matrix
         check_pose(to_world, where)
         pose = pose_at(to_world[:3, 3], (to_world[:3, :3] @ OPENGL_TO_OPENCV).T)
-        camera = check_camera(Camera(pinhole.K, pose, pinhole.width, pinhole.height), where)
+        camera = check_camera(replace(pinhole, world_to_camera=pose), where)
         posed = RegisteredImage(name, camera, undistortion, one)
         frames[name] = TransformsFrame(posed, frame.file_path, frame.thermal_file_path, frame.mask_path)
     views = {name: one for one, name in names.items()}
@@ -243,32 +245,47 @@ def _parsed(kind: type[M], values: object, where: str) -> M:
         raise SceneError(f"{where} {what}. Correct the file, a transforms.json of nerfstudio") from error
 
 
-def _camera_entry(camera: _Intrinsics, where: str, assumed: set[str]) -> CameraEntry:
-    """Return COLMAP's camera of a frame. What is missing is as instant-ngp has it, and added to `assumed`."""
-    angles = (camera.fl_x, camera.camera_angle_x, camera.w), (camera.fl_y, camera.camera_angle_y, camera.h)
-    fx, fy = (size / (2 * math.tan(angle / 2)) if one is None and angle else one for one, angle, size in angles)
+def _lens(
+    content: dict[str, object], frame: dict[str, object], image: Path, where: str
+) -> tuple[CameraEntry, set[str]]:
+    """Return COLMAP's camera of a frame, and what is missing in the file, which is as instant-ngp has it."""
+    _check_keys(frame, where)
+    stated, missing = _stated(content, frame, where), set()
+    if {"w", "h"}.isdisjoint(stated) and (file := there(image)) is not None:
+        size = header(file, as_picture=True)
+        stated |= {"w": size.width, "h": size.height}
+        missing.add("w and h are the image's")
+    camera = _parsed(_Intrinsics, stated, where)
+    fx, fy = (
+        size / (2 * math.tan(angle / 2)) if focal is None and angle else focal
+        for focal, angle, size in (
+            (camera.fl_x, camera.camera_angle_x, camera.w),
+            (camera.fl_y, camera.camera_angle_y, camera.h),
+        )
+    )
     if fx is None:
         raise SceneError(f"{where} has no fl_x and no camera_angle_x. Correct the file, a transforms.json")
-    cx, cy = (half if one is None else one for one, half in ((camera.cx, camera.w / 2), (camera.cy, camera.h / 2)))
-    missing = {"fl_y is fl_x": fy, "cx is the centre": camera.cx, "cy is the centre": camera.cy}
-    assumed |= {what for what, value in missing.items() if value is None}
-    k1, k2, k3, k4, p1, p2 = (getattr(camera, name) for name in DISTORTION)
-    stated, is_radial = camera.camera_model, (k1, k2, k3, k4) != (0, 0, 0, 0)
-    if camera.is_fisheye and stated != FISHEYE and (stated is not None or not is_radial):
+    known = {"fl_y is fl_x": fy, "cx is the centre": camera.cx, "cy is the centre": camera.cy}
+    usual = fx, camera.w / 2, camera.h / 2
+    params = [least if value is None else value for value, least in zip(known.values(), usual, strict=True)]
+    missing |= {what for what, value in known.items() if value is None}
+    model, distortion = _distortion(camera, where)
+    return CameraEntry(1, model, camera.w, camera.h, (fx, *params, *distortion)), missing
+
+
+def _distortion(camera: _Intrinsics, where: str) -> tuple[str, tuple[float, ...]]:
+    """Return COLMAP's model, and its parameters after the principal point."""
+    values = {name: getattr(camera, name) for name in DISTORTION}
+    used, stated = {name for name, value in values.items() if value != 0}, camera.camera_model
+    if camera.is_fisheye and stated != FISHEYE and (stated is not None or not used & {*PARAMETERS[FISHEYE]}):
         other = stated or "a pinhole to instant-ngp, without k1 to k4"
         raise SceneError(f"{where} is_fisheye and {other}; state the camera_model {FISHEYE}, or remove is_fisheye")
-    model, distortion = "PINHOLE", ()  # type: tuple[str, tuple[float, ...]]
-    if camera.is_fisheye or stated == FISHEYE:
-        model, distortion = FISHEYE, (k1, k2, k3, k4)
-        if (p1, p2) != (0, 0):
-            raise SceneError(f"{where} has p1 {p1:g} and p2 {p2:g}, which {FISHEYE} has not; undistort the images")
-    elif k4 != 0:
-        raise SceneError(f"{where} has the k4 {k4:g}, which only {FISHEYE} has; undistort the images")
-    elif k3 != 0:
-        model, distortion = "FULL_OPENCV", (k1, k2, p1, p2, k3, 0.0, 0.0, 0.0)
-    elif (k1, k2, p1, p2) != (0, 0, 0, 0):
-        model, distortion = "OPENCV", (k1, k2, p1, p2)
-    return CameraEntry(1, model, camera.w, camera.h, (fx, fx if fy is None else fy, cx, cy, *distortion))
+    fitting = (model for model in PERSPECTIVE if used <= {*PARAMETERS[model]})
+    model = FISHEYE if camera.is_fisheye or stated == FISHEYE else next(fitting, PERSPECTIVE[-1])
+    if unknown := sorted(used - {*PARAMETERS[model]}):
+        what = f"{unknown[0]} {values[unknown[0]]:g}, which {model} has not"
+        raise SceneError(f"{where} has the {what}; undistort the images, or state the right camera_model")
+    return model, tuple(values.get(name, 0.0) for name in PARAMETERS[model])
 
 
 def read_points(path: Path) -> tuple[PointCloud, str]:
