@@ -57,12 +57,12 @@ def print_table(root: Path, checks: list[SceneCheck]) -> None:
         table.add_row(*_row(check))
     console().print(table)
     for check in checks:
-        for problem in check.problems:
-            say(f"{check.name}: {one_line(problem)}", check.status, COLORS[check.status])
-        for doubt in check.doubts:
-            say(f"{check.name}: {one_line(doubt)}", "doubtful", COLORS["doubtful"])
-        for note in [*check.notes, *(f"assumed {key}: {line}" for key, line in check.assumed.items())]:
-            say(f"{check.name}: {one_line(note)}", "note", "dim")
+        said = [(check.status, problem) for problem in check.problems]
+        said += [("doubtful", doubt) for doubt in check.doubts]
+        said += [("note", note) for note in check.notes]
+        said += [("note", f"assumed {key}: {line}") for key, line in check.assumed.items()]
+        for label, line in said:
+            say(f"{check.name}: {one_line(line)}", label, COLORS.get(label, "dim"))
     usable, doubtful = (sum(check.status in among for check in checks) for among in (USABLE, USABLE[1:]))
     say(f"{usable} of {len(checks)} scenes can be used" + (f", {doubtful} of them with doubts" if doubtful else ""))
 
@@ -100,10 +100,13 @@ def checks_as_json(root: Path, checks: list[SceneCheck], is_paper: bool) -> str:
     scenes = []
     for check in checks:
         offset = check.edge_offset
-        edges: dict[str, object] = {"edge_offset_px": None, "edge_offset": None, "edge_offset_unknown": offset}
-        if isinstance(offset, Offset):
-            edges = {"edge_offset_px": offset.px, "edge_offset": offset._asdict(), "edge_offset_unknown": None}
-        scenes.append({**asdict(check), **edges})
+        known = offset if isinstance(offset, Offset) else None
+        edges = {
+            "edge_offset_px": known and known.px,
+            "edge_offset": known and known._asdict(),
+            "edge_offset_unknown": None if known else offset,
+        }
+        scenes.append(asdict(check) | edges)
     return json.dumps(
         {
             "format": 4,

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
-from tdgbench.data.check.model import wrong_views
+from tdgbench.data.check.reprojection import wrong_views
 from tdgbench.scenes import Dataset, FolderDataset, ReadOptions, RegisteredDataset, Scene, SceneError, registry
 from tdgbench.scenes.datasets import outline_of
 from tdgbench.scenes.formats import SUFFIXES, decode
@@ -27,10 +27,10 @@ MOST_PROBLEMS = 20  # of a scene, in words
 class SceneCheck:
     """What is known of a scene; the fields are those of the JSON (docs/data.md).
 
-    sizes_px: (width, height) of the views. temperature_degC:
-    of image values 0 and 1. counts: raw counts of them, of scenes without °C. masked_share: of the thermal pixels.
-    edge_offset: of thermal from RGB edges, or why it is not known. problems: what is missing or broken, with the
-    remedy; a scene without one can be used. doubts: what is probably wrong. assumed: how files were read, by key.
+    sizes_px: (width, height) of the views. temperature_degC: of image values 0 and 1. counts: raw counts of them, of
+    scenes without °C. masked_share: of the thermal pixels. edge_offset: of thermal from RGB edges, or why it is not
+    known. problems: what is missing or broken, with the remedy; a scene without one can be used. doubts: what is
+    probably wrong. assumed: how files were read, by key.
     """
 
     name: str
@@ -82,11 +82,7 @@ def find_place(root: Path, split: str) -> Place:
     paper = RegisteredDataset(str(root), options)
     if not is_folder(root) or any(is_folder(registry.dataset_folder(root, key)) for key in registry.DATASETS):
         return Place(root, paper, paper.names(), is_paper=True)
-    folder = FolderDataset(str(root), options)
-    names = folder.names()
-    if names:
-        return Place(root, folder, names, is_paper=False)
-    for layout in LAYOUTS:  # a data set's folder inside a data root, as `data get` makes it
+    for layout in (None, *LAYOUTS):  # then a data set's folder inside a data root, as `data get` makes it
         inside = FolderDataset(str(root), options, layout)
         if names := inside.names():
             return Place(root, inside, names, is_paper=False)
@@ -98,106 +94,103 @@ def check_scenes(place: Place, begin: Callable[[str], None]) -> Iterator[SceneCh
     """Check all scenes of a place; `begin` is called with the name of each one that is there."""
     missing = set(place.dataset.missing(place.names))
     for name in place.names:
-        described = place.dataset.describe(name)
-        check = SceneCheck(name, described.dataset)
-        if name in missing:
-            check.status = "missing"
-            remedy = ""
-            if place.is_paper:
-                key = registry.registered(name).dataset
-                remedy = f": tdgbench data get {key} {shlex.quote(str(place.root))} (or {registry.PUBLISHED_AT[key]})"
-            check.problems.append(f"not there{remedy}")
-        else:
+        if name not in missing:
             begin(name)
-            _examine(place.dataset, check)
-        yield check
+            yield _examined(place.dataset, name)
+            continue
+        remedy = ""
+        if place.is_paper:
+            key = registry.registered(name).dataset
+            remedy = f": tdgbench data get {key} {shlex.quote(str(place.root))} (or {registry.PUBLISHED_AT[key]})"
+        yield SceneCheck(name, place.dataset.describe(name).dataset, "missing", problems=[f"not there{remedy}"])
 
 
-def _examine(dataset: Dataset, check: SceneCheck) -> None:
-    """Read a scene and its images, and fill in what is found."""
+def _examined(dataset: Dataset, name: str) -> SceneCheck:
+    """Read a scene and its images, and return what is found."""
+    check = SceneCheck(name, dataset.describe(name).dataset)
     try:
-        outline = outline_of(dataset, check.name)
+        outline = outline_of(dataset, name)
         try:
             scene = outline.read()
         except SceneError as error:
-            check.problems.append(str(error))
-            _find_broken_images(outline.scene, check)
+            check.problems = [str(error), *_broken_images(outline.scene, str(error))]
         else:
-            _describe(scene, check)
-            _check_model(scene, check)
-            _read_rgb(scene, check)
+            check = _described(scene, check.dataset)
             _ = scene.extent
     except SceneError as error:
         check.problems.append(str(error))
     check.status = "broken" if check.problems else "doubtful" if check.doubts else "ok"
     check.problems = check.problems[:MOST_PROBLEMS]
+    return check
 
 
-def _describe(scene: Scene, check: SceneCheck) -> None:
-    views = scene.views
-    check.folder = str(scene.folder)
+def _described(scene: Scene, dataset: str) -> SceneCheck:
+    """Return what is found in a scene that could be read; its RGB images are read here."""
+    views, span = scene.views, scene.temperature
     layout = None if scene.folder is None else detect(scene.folder)
-    check.layout = None if layout is None else layout.title
-    check.views, check.train, check.test = len(views), len(scene.train), len(scene.test)
-    check.sizes_px = sorted({(view.camera.width, view.camera.height) for view in views})
-    check.channels = scene.channels
-    check.points = None if scene.points is None else len(scene.points.points)
-    span = scene.temperature
-    check.temperature_degC = None if span is None or scene.channels != 1 else (span.min, span.max)
-    check.counts = scene.raw_count_range
-    check.masked_share = float(np.mean([0.0 if view.valid is None else 1 - view.valid.mean() for view in views]))
-    check.views_with_rgb = sum(view.load_rgb is not None for view in views)
-    check.doubts, check.assumed = scene.doubts, scene.assumed
-    check.notes += scene.notes
-    if check.views_with_rgb < len(views):
-        check.notes.append(
-            f"{len(views) - check.views_with_rgb} views have no RGB image; methods that train on RGB (msmg) need those "
-            "of all training views"
+    with_rgb = sum(view.load_rgb is not None for view in views)
+    notes = list(scene.notes)
+    if with_rgb < len(views):
+        notes.append(
+            f"{len(views) - with_rgb} views have no RGB image; methods that train on RGB (msmg) need those of all "
+            "training views"
         )
-    if check.points is None:
-        check.notes.append("no sparse points: use init=random; prior=sfm_points is not possible")
-
-
-def _check_model(scene: Scene, check: SceneCheck) -> None:
-    """Add the views whose camera is wrong; where most are, the cameras may have been edited, which is noted."""
+    if scene.points is None:
+        notes.append("no sparse points: use init=random; prior=sfm_points is not possible")
     wrong = [] if scene.model is None else wrong_views(scene.model)
-    if len(wrong) <= len(scene.views) / 2:
-        check.problems += wrong
-    else:
-        check.notes.append(
-            f"the sparse points do not project to where {len(wrong)} views show them; were cameras edited?"
-        )
+    if len(wrong) > len(views) / 2:
+        notes.append(f"the sparse points do not project to where {len(wrong)} views show them; were cameras edited?")
+        wrong = []
+    offset, unread = _edge_offset(scene)
+    return SceneCheck(
+        name=scene.name,
+        dataset=dataset,
+        folder=str(scene.folder),
+        layout=None if layout is None else layout.title,
+        views=len(views),
+        views_with_rgb=with_rgb,
+        train=len(scene.train),
+        test=len(scene.test),
+        sizes_px=sorted({(view.camera.width, view.camera.height) for view in views}),
+        channels=scene.channels,
+        temperature_degC=None if span is None or scene.channels != 1 else (span.min, span.max),
+        counts=scene.raw_count_range,
+        masked_share=float(np.mean([0.0 if view.valid is None else 1 - view.valid.mean() for view in views])),
+        points=None if scene.points is None else len(scene.points.points),
+        edge_offset=offset,
+        problems=[*wrong, *unread],
+        doubts=scene.doubts,
+        assumed=scene.assumed,
+        notes=notes,
+    )
 
 
-def _read_rgb(scene: Scene, check: SceneCheck) -> None:
-    """Read each RGB image; some of them give the offset of edges."""
+def _edge_offset(scene: Scene) -> tuple[Offset | str, list[str]]:
+    """Return the offset of edges, or why it is not known, and the problems of RGB images, each of which is read."""
     views = [view for view in scene.views if view.load_rgb is not None]
-    used = chosen_views(len(views))
-    pairs = []
+    used, pairs, problems = chosen_views(len(views)), [], []
     for index, view in enumerate(views):
-        rgb = _read(view.load_rgb, check)  # not view.rgb, which would stay in memory
-        if index in used and rgb is not None:
-            pairs.append(ViewPair(rgb, view.thermal, view.valid))
+        try:
+            rgb = view.load_rgb()  # not view.rgb, which would stay in memory
+        except SceneError as error:
+            problems.append(str(error))
+        else:
+            pairs += [ViewPair(rgb, view.thermal, view.valid)] if index in used else []
     if len({pair.rgb.shape[:2] for pair in pairs}) > 1:
-        check.edge_offset = "views have different sizes"
-    else:
-        check.edge_offset = edge_offset(pairs) if views else "no RGB images"
+        return "views have different sizes", problems
+    return edge_offset(pairs) if views else "no RGB images", problems
 
 
-def _find_broken_images(scene: Scene, check: SceneCheck) -> None:
-    """Add the images that cannot be read: loading a scene ends at the first one, whose error is there."""
-    (said,) = check.problems
+def _broken_images(scene: Scene, said: str) -> list[str]:
+    """Return why images cannot be read: loading a scene ends at the first one, whose error was `said`."""
+    problems = []
     for view in scene.views:
-        path = view.thermal_path
+        path, loads = view.thermal_path, [view.load_rgb]
         if path is not None and path.suffix.lower() in SUFFIXES and str(path) not in said:
-            _read(partial(decode, path), check)
-        _read(view.load_rgb, check)
-
-
-def _read(load: Callable[[], Any] | None, check: SceneCheck) -> Any:
-    """Read an image, if there is one; None, and a problem, if it cannot be read."""
-    try:
-        return None if load is None else load()
-    except SceneError as error:
-        check.problems.append(str(error))
-        return None
+            loads = [partial(decode, path), view.load_rgb]
+        for load in loads:
+            try:
+                _ = None if load is None else load()
+            except SceneError as error:
+                problems.append(str(error))
+    return problems
