@@ -13,17 +13,11 @@ from itertools import takewhile
 from pathlib import PurePosixPath
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import SUFFIXES
+from tdgbench.scenes.formats import SUFFIXES
+from tdgbench.scenes.formats.unread import UNREAD
 from tdgbench.scenes.inputs import check_view_name
 from tdgbench.text import first_few
 
-_PNG, _FLIR, _VIDEO = "PNG", "float TIFF in °C, as by flirpy's Splitter or FLIR's software", "frames in PNG"
-UNREAD = {
-    **dict.fromkeys((".heic", ".heif", ".avif", ".gif", ".jp2", ".j2k", ".jxl", ".pgm", ".ppm", ".exr", ".jfif"), _PNG),
-    **dict.fromkeys((".dng", ".arw", ".cr2", ".cr3", ".nef", ".orf", ".raf", ".rw2"), _PNG),
-    **dict.fromkeys((".seq", ".csq", ".fff", ".tmc", ".tfc"), _FLIR),
-    **dict.fromkeys((".mp4", ".mov", ".avi"), _VIDEO),
-}  # files of pixels that are not read, by suffix, and what to convert them to
 _EXTENSIONS = {*SUFFIXES, *UNREAD, ".npy"}
 
 
@@ -81,28 +75,37 @@ def pair(files: Iterable[str], views: Mapping[str, str], where: str) -> dict[str
     {'1': '1', 'right_1': 'right/1'}
     """
     files = list(files)
-    by_base: dict[str, list[tuple[str, list[str]]]] = {}
+    by_base: dict[str, list[str]] = {}
     for view, path in views.items():
-        by_base.setdefault(path.rpartition("/")[2], []).append((view, path.split("/")))
-    bases = [one.rpartition("/")[2] for one in files]
+        by_base.setdefault(_base(path), []).append(view)
     nested = all("/" in one for one in files)
-    loose = not _twice(bases) and not _twice(path.rpartition("/")[2] for path in views.values())
-    found: dict[str, tuple[tuple[int, int], str]] = {}
-    for file, base in zip(files, bases, strict=True):
-        parts, fits = file.split("/"), {file: (1, 0)} if file in views else {}
-        for view, known in by_base.get(base, []):
-            common = _common([parts[::-1], known[::-1]])
-            if common == len(parts) or (nested and (loose or common == len(known))):
-                fits[view] = common, -abs(len(known) - len(parts))
-        best = [view for view, rank in fits.items() if rank == max(fits.values())]
+    loose = not _twice(map(_base, files)) and not _twice(map(_base, views.values()))
+    found: dict[str, list[tuple[tuple[int, int], str]]] = {}
+    for file in files:
+        ranks = {file: (1, 0)} if file in views else {}
+        for view in by_base.get(_base(file), []):
+            if (rank := _rank(file, views[view], nested, loose)) is not None:
+                ranks[view] = rank
+        best = [view for view, rank in ranks.items() if rank == max(ranks.values())]
         if len(best) > 1:
             named = " or ".join(views[view] for view in sorted(best)[:2])
             raise SceneError(f"{where}: {file} may be {named}; put images into folders as the poses name them")
         for view in best:
-            if view in found and found[view][0] == fits[view]:
-                raise SceneError(f"{where}: {found[view][1]} and {file} are both view {view}; keep one of them")
-            found[view] = max((fits[view], file), found.get(view, (fits[view], file)))
-    return {view: file for view, (_, file) in found.items()}
+            found.setdefault(view, []).append((ranks[view], file))
+    for view, candidates in found.items():
+        candidates.sort(reverse=True)
+        if len(candidates) > 1 and candidates[0][0] == candidates[1][0]:
+            both = " and ".join(sorted(file for _, file in candidates[:2]))
+            raise SceneError(f"{where}: {both} are both view {view}; keep one of them")
+    return {view: candidates[0][1] for view, candidates in found.items()}
+
+
+def _rank(file: str, path: str, nested: bool, loose: bool) -> tuple[int, int] | None:
+    """Return how well a file fits the path of a view with its base name, best last; None if it does not."""
+    parts, known = file.split("/"), path.split("/")
+    common = _common([parts[::-1], known[::-1]])
+    fits = common == len(parts) or (nested and (loose or common == len(known)))
+    return (common, -abs(len(known) - len(parts))) if fits else None
 
 
 def in_case_alone(files: Iterable[str], views: Iterable[str]) -> list[str]:
@@ -131,6 +134,10 @@ def about_unread(where: str, names: Iterable[str], read: Iterable[str]) -> list[
         f"{where} holds {len(names)} files that are not read ({first_few(names)}); convert them to {kind}"
         for kind, names in lost.items()
     ]
+
+
+def _base(path: str) -> str:
+    return path.rpartition("/")[2]
 
 
 def _twice(values: Iterable[str]) -> list[str]:

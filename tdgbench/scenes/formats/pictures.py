@@ -25,7 +25,7 @@ PILLOW = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 PNG = b"\x89PNG\r\n\x1a\n"
 RGB_TYPE, GRAY_ALPHA, RGB_ALPHA = 2, 4, 6  # PNG's colour types
 COUNT_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")  # Pillow's, of one channel
-WITH_ALPHA = {"LA": "LA", "La": "LA", "RGBA": "RGBA", "RGBa": "RGBA", "PA": "RGBA"}  # and what they become
+WITH_ALPHA = ("LA", "La", "RGBA", "RGBa", "PA")
 PLAIN = {"1": "L", "L": "L", **dict.fromkeys(("RGB", "P", "RGBX", "CMYK", "YCbCr", "HSV", "LAB"), "RGB")}
 
 
@@ -58,49 +58,52 @@ def jpeg_segments(source: Source) -> list[tuple[str, bytes]]:
 def picture_header(source: Source) -> Header:
     """Return what a picture says of itself."""
     with pillow(source) as image:
-        _check_one_picture(image, source.path)
-        kind, is_deep = str(image.format), image.mode in COUNT_MODES
-        depth: Depth = "16-bit" if is_deep or _deep_colour_type(source) is not None else "8-bit"
-        meaning: Meaning = "counts" if depth == "16-bit" else "shown"
-        return Header(kind, *image.size, depth, meaning, assumed=(*_orientation(image), *_profile(image)))
+        return _header_of(image, source)
+
+
+def _header_of(image: Image.Image, source: Source) -> Header:
+    _check_one_picture(image, source.path)
+    is_deep = image.mode in COUNT_MODES or _deep_colour_type(source) is not None
+    depth: Depth = "16-bit" if is_deep else "8-bit"
+    meaning: Meaning = "counts" if is_deep else "shown"
+    return Header(str(image.format), *image.size, depth, meaning, assumed=(*_orientation(image), *_profile(image)))
 
 
 def decode_picture(source: Source) -> Decoded:
     """Decode a picture: (H, W, 1 or 3) uint8 or uint16; transparent pixels are not valid."""
-    header = picture_header(source)
     if source.head.startswith(PNG):
         with pillow(source) as image:
             image.verify()  # the checksums, which decoding ignores; the image is closed then
-    deep = _deep_colour_type(source)
-    if deep is not None:
-        source.file.seek(0)
-        values = imagecodecs.png_decode(source.file.read())
-        if values.dtype != np.uint16 or values.shape[:2] != (header.height, header.width) or values.ndim != 3:
-            raise ValueError(f"it states 16 bits, and has {values.dtype} {values.shape}")
-        has_alpha = deep in (GRAY_ALPHA, RGB_ALPHA)
-        return Decoded(*_split(values, has_alpha, header, source.path))
-    with pillow(source) as opened:
-        image = opened
+    with pillow(source) as image:
+        header = _header_of(image, source)
+        if _deep_colour_type(source) is not None:
+            return _decode_deep(source, header)
         if image.mode in COUNT_MODES:
             counts, hidden = np.asarray(image).astype(np.uint16), image.info.get("transparency")
             return Decoded(counts[..., None], header, None if hidden is None else counts != hidden)
         if "transparency" in image.info or image.mode in WITH_ALPHA:
             is_gray = image.mode in ("1", "L", "LA", "La")
-            image = image.convert("LA" if is_gray else "RGBA")
-            return Decoded(*_split(np.asarray(image), True, header, source.path))
+            values = np.asarray(image.convert("LA" if is_gray else "RGBA"))
+            return _without_alpha(values, header, source)
         if image.mode not in PLAIN:
             raise SceneError(f"{source.path} has mode {image.mode}; save it as 8- or 16-bit gray, or 8-bit colour")
         values = np.asarray(image if image.mode == PLAIN[image.mode] else image.convert(PLAIN[image.mode]))
         return Decoded(values[..., None] if values.ndim == 2 else values, header)
 
 
-def _split(
-    values: np.ndarray, has_alpha: bool, header: Header, path: Path
-) -> tuple[np.ndarray, Header, np.ndarray | None]:
-    valid = None
-    if has_alpha:
-        values, valid = without_alpha(values, np.iinfo(values.dtype).max, path)
-    return values, header, valid
+def _decode_deep(source: Source, header: Header) -> Decoded:
+    """Decode a PNG of several 16-bit channels."""
+    source.file.seek(0)
+    values = imagecodecs.png_decode(source.file.read())
+    if values.dtype != np.uint16 or values.shape[:2] != (header.height, header.width) or values.ndim != 3:
+        raise ValueError(f"it states 16 bits, and has {values.dtype} {values.shape}")
+    has_alpha = _deep_colour_type(source) in (GRAY_ALPHA, RGB_ALPHA)
+    return _without_alpha(values, header, source) if has_alpha else Decoded(values, header)
+
+
+def _without_alpha(values: np.ndarray, header: Header, source: Source) -> Decoded:
+    values, valid = without_alpha(values, np.iinfo(values.dtype).max, source.path)
+    return Decoded(values, header, valid)
 
 
 def _deep_colour_type(source: Source) -> int | None:

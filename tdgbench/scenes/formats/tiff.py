@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from tifffile import PHOTOMETRIC, TiffFile, TiffPage
@@ -51,14 +52,8 @@ def _full_page(source: Source) -> Iterator[tuple[TiffPage, int | None, TiffPage 
     with _silent(), TiffFile(source.file, name=source.path.name) as tiff:
         if len(tiff.pages) > MOST_PAGES:
             raise SceneError(f"{source.path} has {len(tiff.pages)} pages; a view is one. Save one of them")
-        pages: list[tuple[TiffPage, int | None]] = []
-        for place in range(len(tiff.pages)):
-            top = tiff.pages.get(place, aspage=True)
-            assert isinstance(top, TiffPage)
-            below = (top.pages or ()) if top.subifds else ()
-            pages += [(top, place), *((one.aspage(), None) for one in below)]
-        masks = [page for page, _ in pages if page.subfiletype & IS_MASK]
-        pictures = [(page, number) for page, number in pages if not page.subfiletype & IS_MASK]
+        pages = list(_pages(tiff))
+        pictures = [one for one in pages if not one[0].subfiletype & IS_MASK]
         if not pictures:
             raise SceneError(f"{source.path} holds no picture; export it again")
         area = max(page.imagewidth * page.imagelength for page, _ in pictures)
@@ -67,8 +62,19 @@ def _full_page(source: Source) -> Iterator[tuple[TiffPage, int | None, TiffPage 
         if max(len(full), stack) > 1:
             raise SceneError(f"{source.path} holds {max(len(full), stack)} pictures; a view is one. Save one of them")
         ((page, number),) = full
+        masks = (mask for mask, _ in pages if mask.subfiletype & IS_MASK)
         same = (mask for mask in masks if mask.shape[:2] == (page.imagelength, page.imagewidth))
         yield page, number, next(same, None)
+
+
+def _pages(tiff: TiffFile) -> Iterator[tuple[TiffPage, int | None]]:
+    """Yield pages and their numbers, and pages below them, which have none."""
+    for place in range(len(tiff.pages)):
+        top = tiff.pages.get(place, aspage=True)
+        assert isinstance(top, TiffPage)
+        yield top, place
+        for below in (top.pages or ()) if top.subifds else ():
+            yield below.aspage(), None
 
 
 def _header(source: Source) -> Header:
@@ -78,34 +84,43 @@ def _header(source: Source) -> Header:
 
 def _header_of(page: TiffPage, number: int | None, source: Source) -> Header:
     path, bits, kind = source.path, page.bitspersample, page.dtype
-    if kind is None or kind.kind not in "buif" or page.imagedepth != 1:
+    if kind is None or kind.kind not in "buif" or kind == np.int8 or page.imagedepth != 1:
         raise SceneError(f"{path} has pixels of {bits} bits in a form that is not read; export it as 16-bit or float")
     stated = page.tags.valueof(ORIENTATION, 1)
     turned = () if stated == 1 else (f"pixels as stored: TIFF orientation {str(stated)[:9]} is not applied",)
-    size, kind_of_picture = (page.imagewidth, page.imagelength), PHOTOMETRIC(page.photometric).name
-    if kind.itemsize == 1:
-        if page.photometric not in OWN and number == 0:
-            return picture_header(source)._replace(format="TIFF", assumed=turned)
-        if page.photometric not in OWN:
-            raise SceneError(f"{path} holds {kind_of_picture} behind other pages; save its largest page alone")
-        return Header("TIFF", *size, "8-bit", "shown", assumed=turned)
     if page.photometric not in OWN:
-        raise SceneError(f"{path} holds {bits}-bit pixels of {kind_of_picture}; export it as gray TIFF")
+        if kind.itemsize == 1 and number == 0:
+            return picture_header(source)._replace(format="TIFF", assumed=turned)
+        shown, behind = PHOTOMETRIC(page.photometric).name, "behind other pages; save its largest page alone"
+        what = f"{shown} {behind}" if kind.itemsize == 1 else f"{bits}-bit pixels of {shown}; export it as gray TIFF"
+        raise SceneError(f"{path} holds {what}")
+    is_float = kind.kind == "f"
+    depth: Depth = "8-bit" if kind.itemsize == 1 else "float" if is_float else "16-bit"
+    meaning: Meaning = "shown" if kind.itemsize == 1 else "°C" if is_float else "counts"
+    if meaning != "shown":
+        _check_bands(page, is_float, path)
+        _check_unscaled(page, path)
+    scale = _tlinear(page) if meaning == "counts" else NO_SCALE
+    return Header("TIFF", page.imagewidth, page.imagelength, depth, meaning, scale, turned)
+
+
+def _check_bands(page: TiffPage, is_float: bool, path: Path) -> None:
+    """Raise SceneError for a number of bands that no image of more than 8 bits has."""
     bands = page.samplesperpixel - len([one for one in page.extrasamples if one in ALPHA])
     if bands not in (1, 3):
-        raise SceneError(f"{path} has {bands} bands of {bits} bits; an image has 1 or 3. Save one band")
-    depth: Depth = "float" if kind.kind == "f" else "16-bit"
-    if depth == "float" and bands == 3:
+        raise SceneError(f"{path} has {bands} bands of {page.bitspersample} bits; an image has 1 or 3. Save one band")
+    if is_float and bands == 3:
         raise SceneError(f"{path} has 3 bands of float values; temperatures in °C are one. Save one band")
+
+
+def _check_unscaled(page: TiffPage, path: Path) -> None:
+    """Raise SceneError for values that GDAL scales."""
     gdal = {role: float(text) for role, text in SCALED.findall(str(page.tags.valueof(GDAL_METADATA, ""))[:100_000])}
     if (gdal.get("scale", 1.0), gdal.get("offset", 0.0)) != (1, 0):
         raise SceneError(
             f"{path} states that its values are scaled ({', '.join(f'{k} {v:g}' for k, v in gdal.items())}), in a unit "
             "that it does not state; export it as float TIFF in °C"
         )
-    meaning: Meaning = "°C" if depth == "float" else "counts"
-    scale = _tlinear(page) if depth == "16-bit" else NO_SCALE
-    return Header("TIFF", *size, depth, meaning, scale, turned)
 
 
 def _tlinear(page: TiffPage) -> CountScale:
@@ -126,21 +141,20 @@ def _decode(source: Source) -> Decoded:
             values = np.moveaxis(values, 0, 2)
         values = values.reshape(header.height, header.width, page.samplesperpixel)
         valid = None if mask is None else np.asarray(mask.asarray(maxworkers=1).reshape(values.shape[:2]) > 0)
-        nodata = page.tags.valueof(GDAL_NODATA)
+        nodata, extra = page.tags.valueof(GDAL_NODATA), page.extrasamples
         is_inverted = page.photometric == PHOTOMETRIC.MINISWHITE
-        extra = page.extrasamples
     if values.dtype == np.bool_:
         values = values.astype(np.uint8) * np.uint8(255)
     if extra and extra[-1] in ALPHA:
         most = 1.0 if values.dtype.kind == "f" else float(np.iinfo(values.dtype).max)
         values, opaque = without_alpha(values, most, source.path)
         valid = _both(valid, opaque)
-    if values.dtype == np.uint8:
-        values = np.uint8(255) - values if is_inverted else values
-        if values.shape[2] not in (1, 3):
-            raise SceneError(f"{source.path} has {values.shape[2]} bands of 8 bits; an image has 1 or 3. Save one band")
-    elif header.meaning == "counts" and (values.max() > LARGEST or values.min() < -LARGEST):
+    if header.meaning == "counts" and (values.max() > LARGEST or values.min() < -LARGEST):
         raise SceneError(f"{source.path} has counts beyond ±{LARGEST}; export it with 16 bits, or as float TIFF in °C")
+    if header.meaning == "shown" and values.shape[2] not in (1, 3):
+        raise SceneError(f"{source.path} has {values.shape[2]} bands of 8 bits; an image has 1 or 3. Save one band")
+    if header.meaning == "shown" and is_inverted:
+        values = np.uint8(255) - values
     if nodata is not None:
         valid = _both(valid, np.asarray(_is_data(values, str(nodata)).all(axis=2)))
     return Decoded(values, header, valid)

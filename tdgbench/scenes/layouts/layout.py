@@ -166,8 +166,7 @@ def find_images(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> Images:
     paths: dict[str, Path] = {}
     shipped: dict[str, str] = {}
     unread: list[str] = []
-    splits = [name for name in SPLITS if is_folder(folder / name)]
-    for top in splits or [""]:
+    for top in [name for name in SPLITS if is_folder(folder / name)] or [""]:
         for path in _files_below(folder / top, suffixes, set()):
             name = path.relative_to(folder / top).as_posix()
             if path.suffix.lower() not in suffixes:
@@ -175,15 +174,13 @@ def find_images(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> Images:
                 continue
             one = key(name)
             check_view_name(key(path.name), f"{path.parent}: the file {path.name!r}")
-            regular_file(path)
-            if one in paths:
+            if paths.setdefault(one, regular_file(path)) != path:
                 raise SceneError(f"{path} and {paths[one]} are both view {one}; keep one of them")
-            paths[one] = path
-            shipped.update({one: top} if top else {})
+            shipped |= {one: top} if top else {}
     stems = {path.with_suffix("") for path in paths.values()}
-    for one, path in list(paths.items()):
-        if path.name.startswith(DYNAMIC) and path.with_name(path.stem.removeprefix(DYNAMIC)) in stems:
-            del paths[one]
+    beside = {one for one, path in paths.items() if path.name.startswith(DYNAMIC)
+              and path.with_name(path.stem.removeprefix(DYNAMIC)) in stems}  # fmt: skip
+    paths = {one: path for one, path in paths.items() if one not in beside}
     return Images(paths, shipped, about_unread(f"{folder.name}/", unread, paths))
 
 
@@ -219,24 +216,31 @@ def find_masks(
 
     images: by view name, beside which masks may lie. stated: masks that a file names, by view name.
     """
-    elsewhere = set(stated.values())
-    paths = {one: path for one, path in find_images(folder / MASKS).paths.items() if path not in elsewhere}
-    twice = {one: path for one, path in paths.items() if key(one) != one}  # 1.png.png of 1.png
-    once = [{one: path for one, path in paths.items() if one not in twice}, {key(one): twice[one] for one in twice}]
-    found = [("mask_path: black hides", view, Mask(path)) for view, path in stated.items()]
-    for part in once:
-        named = by_view(folder, Images(part, {}, []), posed).paths
-        found += [(f"{MASKS}/: black hides", view, Mask(path)) for view, path in named.items()]
-    for view, image in (one for part in images for one in part.items()):
-        if is_there(beside := image.with_name(f"{DYNAMIC}{image.stem}.png")):
-            found.append((f"{DYNAMIC}*.png: what is not black hides", view, Mask(beside, inverted=True)))
     masks: dict[str, Mask] = {}
-    for _, view, mask in found:
+    counts: Counter[str] = Counter()
+    for source, view, mask in _masks(folder, posed, images, stated):
         if masks.setdefault(view, mask) != mask:
             raise SceneError(f"{mask.path} and {masks[view].path} are both masks of view {view}; keep one of them")
         regular_file(mask.path)
-    counts = Counter(source for source, _, _ in found)
-    return masks, {MASKS: "; ".join(f"{source} ({count} files)" for source, count in counts.items())} if found else {}
+        counts[source] += 1
+    said = "; ".join(f"{source} ({count} files)" for source, count in counts.items())
+    return masks, {MASKS: said} if said else {}
+
+
+def _masks(
+    folder: Path, posed: Mapping[str, RegisteredImage], images: Iterable[Mapping[str, Path]], stated: Mapping[str, Path]
+) -> Iterator[tuple[str, str, Mask]]:
+    """Yield what hides, view and mask. Arguments as of `find_masks`."""
+    yield from (("mask_path: black hides", view, Mask(path)) for view, path in stated.items())
+    elsewhere = {*stated.values()}
+    paths = {one: path for one, path in find_images(folder / MASKS).paths.items() if path not in elsewhere}
+    for is_double in (False, True):  # 1.png, and 1.png.png of 1.png
+        part = {key(one): path for one, path in paths.items() if (key(one) != one) == is_double}
+        for view, path in by_view(folder, Images(part, {}, []), posed).paths.items():
+            yield f"{MASKS}/: black hides", view, Mask(path)
+    for view, image in (one for part in images for one in part.items()):
+        if is_there(beside := image.with_name(f"{DYNAMIC}{image.stem}.png")):
+            yield f"{DYNAMIC}*.png: what is not black hides", view, Mask(beside, inverted=True)
 
 
 def _keys(posed: Mapping[str, RegisteredImage]) -> dict[str, str]:

@@ -67,11 +67,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     given scene's temperatures become the true ones, unless it has truer ones. Raises SceneError for a scene that is not
     gray and in °C.
     """
-    views, given = clean.views, clean.temperature
-    colored = in_pseudo_colour(views)
-    if given is None or colored:
-        why = "pseudo-colour" if colored else "no temperature range; set data.temperature=[MIN,MAX]"
-        raise SceneError(f"{clean.name} has {why}: errors in °C can be added to gray images of temperatures alone")
+    views, given = clean.views, _range_of(clean)
     sizes = {(view.camera.width, view.camera.height) for view in views}
     if len(sizes) > 1:
         raise SceneError(f"{clean.name} has images of several sizes: a camera has one vignette; set data.width")
@@ -80,17 +76,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
     noises = [rng.normal(0, noise_degC, camera.pattern.shape) for _ in views]
     shown = [camera.shown(in_degC(view, given), index, noises[index]) for index, view in enumerate(views)]
     measured = [degC if view.valid is None else degC[view.valid] for degC, view in zip(shown, views, strict=True)]
-    span: TemperatureRange | None = None
-    if errors.encoding == "agc":
-        ends = [limits(degC) if degC.size else (given.min, given.max) for degC in measured]
-        values = [levels(degC, *pair) / 255 for degC, pair in zip(shown, ends, strict=True)]
-        camera = replace(camera, limits=np.array(ends))
-    elif errors.encoding == "range":
-        span, values = given, [levels(degC, given.min, given.max) / 255 for degC in shown]
-    else:
-        low, high = (float(end([end(degC) for degC in measured if degC.size])) for end in (np.min, np.max))
-        span = TemperatureRange(low - ROOM, high + ROOM)
-        values = [(degC - span.min) / (span.max - span.min) for degC in shown]
+    values, span, ends = _encoded(errors.encoding, shown, measured, given)
     images = {view.name: image for view, image in zip(views, values, strict=True)}
 
     def seen(view: View) -> View:
@@ -99,7 +85,34 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
         return view.with_thermal(image, load_true_temperature=truth)
 
     train, test = ([seen(view) for view in part] for part in (clean.train, clean.test))
-    return replace(clean, train=train, test=test, temperature=span), CameraTruth(list(images), camera)
+    truth = CameraTruth(list(images), replace(camera, limits=ends))
+    return replace(clean, train=train, test=test, temperature=span), truth
+
+
+def _range_of(clean: Scene) -> TemperatureRange:
+    """Return the range of a scene that is gray and in °C. Raises SceneError for another."""
+    colored = in_pseudo_colour(clean.views)
+    if clean.temperature is None or colored:
+        why = "pseudo-colour" if colored else "no temperature range; set data.temperature=[MIN,MAX]"
+        raise SceneError(f"{clean.name} has {why}: errors in °C can be added to gray images of temperatures alone")
+    return clean.temperature
+
+
+def _encoded(
+    encoding: str | None, shown: list[np.ndarray], measured: list[np.ndarray], given: TemperatureRange
+) -> tuple[list[np.ndarray], TemperatureRange | None, np.ndarray | None]:
+    """Return images (H, W) in [0, 1] of shown temperatures, their range, and the limits (V, 2) of gain control.
+
+    measured: the temperatures of valid pixels, (N,) of each view. given: range of the scene.
+    """
+    if encoding == "agc":
+        ends = [limits(degC) if degC.size else (given.min, given.max) for degC in measured]
+        return [levels(degC, *pair) / 255 for degC, pair in zip(shown, ends, strict=True)], None, np.array(ends)
+    if encoding == "range":
+        return [levels(degC, given.min, given.max) / 255 for degC in shown], given, None
+    low, high = (float(end([end(degC) for degC in measured if degC.size])) for end in (np.min, np.max))
+    span = TemperatureRange(low - ROOM, high + ROOM)
+    return [(degC - span.min) / (span.max - span.min) for degC in shown], span, None
 
 
 def in_degC(view: View, span: TemperatureRange) -> np.ndarray:

@@ -121,6 +121,7 @@ def test_pixels_without_data(tmp_path, nodata, dtype):
         ({"data": np.stack([CELSIUS] * 2)}, "holds 2 pictures"),
         ({"data": CELSIUS, "description": "ImageJ=1.11a\nimages=3\n", "metadata": None}, "holds 3 pictures"),
         ({"data": KELVIN.astype(np.complex64)}, "in a form that is not read"),
+        ({"data": KELVIN.astype(np.int8)}, "in a form that is not read"),
         ({"data": KELVIN, "photometric": "cfa", "extratags": []}, "16-bit pixels of .*CFA"),
         ({"data": KELVIN, "extratags": [(42112, 2, 0, '<Item name="S" role="scale">0.01</Item>', True)]}, "are scaled"),
     ],
