@@ -15,6 +15,8 @@ import torch
 from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading, model_identity
 from tdgbench.scenes import Scene, View
 
+OFFER = "(another network, also from thermal images alone)"
+
 
 @dataclass
 class DepthAnythingPrior:

@@ -15,6 +15,7 @@ from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.scenes.formats import decode
 from tdgbench.scenes.inputs import hash_of, is_there, read_array
 
+OFFER = "prior.estimator.folder=DIR (maps made elsewhere)"
 RELEASED_FOLDER = "depthesti"  # folder of TDg's released code, inside the scene
 LARGEST_COUNT = {"8-bit": 255, "16-bit": 65535}
 

@@ -17,6 +17,8 @@ from pydantic import NonNegativeInt, PositiveInt
 from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading, model_identity
 from tdgbench.scenes import Scene, View
 
+OFFER = "(the paper's network)"
+
 
 @dataclass
 class MarigoldPrior:

@@ -8,7 +8,7 @@ resized in the same way to the size of the image.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PureWindowsPath
@@ -25,6 +25,7 @@ from tdgbench.scenes.inputs import hash_of, regular_file
 from tdgbench.splats.cpu import pool
 from tdgbench.text import shortened
 
+OFFER = "prior.estimator.model=FILE (a network of yours)"
 IMAGENET_MEAN = np.array([0.485, 0.456, 0.406], np.float32)  # torchvision's, of images in [0, 1]
 IMAGENET_STD = np.array([0.229, 0.224, 0.225], np.float32)
 QUIET = 4  # onnxruntime's log level for fatal errors alone: others are raised
@@ -159,18 +160,25 @@ class OnnxNetwork(NamedTuple):
 
 def network_of(session: Any, path: Path, output: str | None) -> OnnxNetwork:
     """Read what a session's network takes and gives. Raises PriorUnavailableError if it takes no image."""
-    inputs, outputs = session.get_inputs(), [out.name for out in session.get_outputs()]
-    shape = list(inputs[0].shape) if inputs else []
-    sides = [size if isinstance(size, int) and size > 0 else None for size in shape]  # names and 0 are open sides
-    is_image = len(sides) == 4 and sides[0] in (1, None) and sides[1] in (1, 3) and inputs[0].type == "tensor(float)"
-    if len(inputs) != 1 or not is_image:
+    inputs, outputs = session.get_inputs(), [one.name for one in session.get_outputs()]
+    shape = _image_shape(inputs)
+    if shape is None:
         described = ", ".join(f"{tensor.name}: {tensor.type} {list(tensor.shape)}" for tensor in inputs)
         raise PriorUnavailableError("onnx", f"{path} takes {described or 'nothing'}", EXPECTED)
-    if (output is None and len(outputs) > 1) or (output is not None and output not in outputs):
+    if output not in (outputs if len(outputs) > 1 else [None, *outputs]):
         raise PriorUnavailableError(
             "onnx", f"{path} has the outputs {', '.join(outputs)}", "name one of them: prior.estimator.output=NAME"
         )
-    return OnnxNetwork(session, inputs[0].name, output or outputs[0], int(shape[1]), sides[2], sides[3])
+    return OnnxNetwork(session, inputs[0].name, output or outputs[0], *shape)
+
+
+def _image_shape(inputs: Sequence[Any]) -> tuple[int, int | None, int | None] | None:
+    """Return channels, height and width of the only input, None for an open side; None if it is no image."""
+    if len(inputs) != 1 or inputs[0].type != "tensor(float)" or len(inputs[0].shape) != 4:
+        return None
+    sides = [size if isinstance(size, int) and size > 0 else None for size in inputs[0].shape]  # names and 0 are open
+    batch, channels, height, width = sides
+    return (channels, height, width) if batch in (1, None) and channels in (1, 3) else None
 
 
 def normalized(image: np.ndarray) -> np.ndarray:

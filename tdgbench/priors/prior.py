@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 import logging
+import pkgutil
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 import torch
@@ -22,14 +24,7 @@ from tdgbench.scenes.inputs import hash_of, is_hidden, is_there
 from tdgbench.text import one_line, shortened
 
 Kind = Literal["depth", "disparity", "metric"]
-KINDS: tuple[Kind, ...] = ("depth", "disparity", "metric")
-ALTERNATIVES = {  # for real scenes: what to add to the command line, and what TDg then is
-    "marigold": "(the paper's network)",
-    "depth_anything": "(another network, also from thermal images alone)",
-    "onnx": "prior.estimator.model=FILE (a network of yours)",
-    "files": "prior.estimator.folder=DIR (maps made elsewhere)",
-    "sfm_points": "(from RGB images' geometry: TDg then has more than thermal images; counts for no claim)",
-}
+KINDS: tuple[Kind, ...] = get_args(Kind)
 LOG = logging.getLogger(__name__)
 
 
@@ -47,9 +42,19 @@ class PriorUnavailableError(PriorError):
     """
 
     def __init__(self, prior: str, reason: str, remedy: str) -> None:
-        others = [f"    prior={name} {words}" for name, words in ALTERNATIVES.items() if name != prior]
+        others = [f"    prior={name} {words}" for name, words in offers().items() if name != prior]
         first = f"prior={prior} is not available: {one_line(reason)}"
         super().__init__("\n".join([first, f"  {remedy}", "  or choose another:", *others]))
+
+
+def offers() -> dict[str, str]:
+    """Return the priors for real scenes: the OFFER of each module of this package that has one, by name.
+
+    An offer says what else to add to the command line, and what TDg then is.
+    """
+    names = [module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)])]
+    modules = {name: importlib.import_module(f"tdgbench.priors.{name}") for name in names}
+    return {name: module.OFFER for name, module in modules.items() if hasattr(module, "OFFER")}
 
 
 @dataclass(frozen=True)

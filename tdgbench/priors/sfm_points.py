@@ -19,6 +19,7 @@ from tdgbench.priors.prior import DepthPrior, PriorError
 from tdgbench.scenes import Camera, Scene, View
 from tdgbench.scenes.images import resize
 
+OFFER = "(from RGB images' geometry: TDg then has more than thermal images; counts for no claim)"
 WINDOW = 5  # cells; side of the square in which nearer points hide others
 POINTS_IN_WINDOW = 4  # that should lie in that square
 GRID = (24, 160)  # fewest and most columns of a grid in which points hide others

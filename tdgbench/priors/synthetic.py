@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import NonNegativeFloat, NonNegativeInt
 from scipy.ndimage import gaussian_filter
 
-from tdgbench.priors.prior import DepthPrior, Kind, PriorError
+from tdgbench.priors.prior import DepthPrior, Kind, PriorError, offers
 from tdgbench.scenes import Scene, View
 
 
@@ -35,7 +35,7 @@ class SyntheticPrior:
         if view.true_depth is None:
             raise PriorError(
                 f"view {view.name} of {scene.name} has no true depth; prior=synthetic is for the synthetic scenes "
-                "(use prior=marigold, depth_anything, onnx, files or sfm_points)"
+                f"(use prior={', '.join(offers())})"
             )
         rng = np.random.default_rng([self.seed, zlib.crc32(f"{scene.name}/{view.name}".encode())])
         depth = view.true_depth.astype(np.float64)

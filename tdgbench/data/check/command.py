@@ -57,7 +57,7 @@ def print_table(root: Path, checks: list[SceneCheck]) -> None:
         table.add_row(*_row(check))
     console().print(table)
     for check in checks:
-        said = [(check.status, problem) for problem in check.problems]
+        said: list[tuple[str, str]] = [(check.status, problem) for problem in check.problems]
         said += [("doubtful", doubt) for doubt in check.doubts]
         said += [("note", note) for note in check.notes]
         said += [("note", f"assumed {key}: {line}") for key, line in check.assumed.items()]

@@ -167,11 +167,11 @@ def _described(scene: Scene, dataset: str) -> SceneCheck:
 
 def _edge_offset(scene: Scene) -> tuple[Offset | str, list[str]]:
     """Return the offset of edges, or why it is not known, and the problems of RGB images, each of which is read."""
-    views = [view for view in scene.views if view.load_rgb is not None]
+    views = [(view, view.load_rgb) for view in scene.views if view.load_rgb is not None]
     used, pairs, problems = chosen_views(len(views)), [], []
-    for index, view in enumerate(views):
+    for index, (view, load_rgb) in enumerate(views):
         try:
-            rgb = view.load_rgb()  # not view.rgb, which would stay in memory
+            rgb = load_rgb()  # not view.rgb, which would stay in memory
         except SceneError as error:
             problems.append(str(error))
         else:
@@ -185,12 +185,13 @@ def _broken_images(scene: Scene, said: str) -> list[str]:
     """Return why images cannot be read: loading a scene ends at the first one, whose error was `said`."""
     problems = []
     for view in scene.views:
-        path, loads = view.thermal_path, [view.load_rgb]
+        loads: list[Callable[[], object]] = [] if view.load_rgb is None else [view.load_rgb]
+        path = view.thermal_path
         if path is not None and path.suffix.lower() in SUFFIXES and str(path) not in said:
-            loads = [partial(decode, path), view.load_rgb]
+            loads.insert(0, partial(decode, path))
         for load in loads:
             try:
-                _ = None if load is None else load()
+                load()
             except SceneError as error:
                 problems.append(str(error))
     return problems
