@@ -6,13 +6,20 @@ import re
 import runpy
 import tomllib
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import pytest
 import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from tdgbench import __version__
+from tdgbench.data.export.export import FORMATS
+from tdgbench.data.get.sources import SOURCES
+from tdgbench.scenes.options import SPLITS
+from tdgbench.splats.backends import backend_names
 from tdgbench.tools import TOOLS
+from tdgbench.training.budget import Budget
+from tdgbench.training.rule import Rule
 from tests.helpers.configs import config
 from tests.helpers.paths import ROOT
 
@@ -48,6 +55,19 @@ def test_readme_is_short_and_starts_with_two_commands():
     assert len(text.splitlines()) < 150
     demo, tests = fenced(text)[0]
     assert demo.endswith("-e . && .venv/bin/tdgbench") and tests.endswith("-m pytest -n 2 --dist loadfile")
+
+
+def test_lines_of_the_readme_are_short_and_rows_of_commands_have_one():
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert [line for line in lines if len(line) > 120 and not (line.startswith("|") and "](" in line)] == []
+    commands = [line.split("|")[1] for line in lines if line.startswith("| `tdgbench")]
+    assert len(commands) > 25 and all(cell.count("`") == 2 for cell in commands)
+
+
+def test_every_finding_answers_one_question_on_one_screen():
+    texts = [page.read_text(encoding="utf-8") for page in (ROOT / "docs" / "findings").glob("*.md")]
+    assert max(len(text.split()) for text in texts) <= 1200 and sum(len(text.split()) for text in texts) <= 12_000
+    assert sum(text.splitlines()[0].endswith("?") for text in texts) == len(texts) - 1  # the index asks none
 
 
 def test_every_page_is_reachable_from_the_readme():
@@ -122,6 +142,44 @@ def test_the_commands_page_is_complete():
         assert f"`python -m benchmarks.{benchmark}" in text
 
 
+def test_pages_count_nothing_that_registries_do():
+    """A count of plug-ins would be wrong with the next one."""
+    numbers = "two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|\\d+"
+    kinds = "backends|metrics|layouts|experiments|skips|tools|depth priors|budgets|image formats"
+    pages = [page for page in PAGES if not page.relative_to(ROOT).as_posix().startswith(OF_THE_PAST)]
+    found = {page.name: re.findall(rf"(?i)\b(?:{numbers}) (?:{kinds})\b", page.read_text("utf-8")) for page in pages}
+    assert {name: counts for name, counts in found.items() if counts} == {}
+
+
+def named_in(page: str, beginning: str) -> set[str]:
+    """Words in code spans of the line of a page that begins so."""
+    lines = (ROOT / "docs" / page).read_text(encoding="utf-8").splitlines()
+    return set(re.findall(r"`([\w.]+)`", next(line for line in lines if line.startswith(beginning))))
+
+
+def test_lists_in_pages_are_those_of_the_code():
+    assert set(SPLITS) <= named_in("commands.md", "| `data.split`")
+    assert set(SOURCES) <= named_in("commands.md", "| `tdgbench data get")
+    assert set(FORMATS) <= named_in("commands.md", "| `tdgbench data export")
+    assert set(backend_names()) <= named_in("commands.md", "| `backend`")
+    assert set(backend_names()) == named_in("glossary.md", "| backend |")
+    (phases,) = re.findall(r"^\| phase \| .*: (.*)\. \|$", (ROOT / "docs/glossary.md").read_text("utf-8"), re.MULTILINE)
+    sources = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tdgbench" / "bench").glob("*.py"))
+    assert set(phases.split(", ")) == set(re.findall(r'\.phase\("(\w+)"\)', sources))
+
+
+def test_the_page_of_skips_has_a_row_for_each():
+    switches = yaml.safe_load((ROOT / "conf" / "skip" / "default.yaml").read_text(encoding="utf-8"))
+    kinds = [kind for hint in get_type_hints(Budget).values() for kind in (get_args(hint) or (hint,))]
+    rules = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Rule) and kind.is_skip]
+    named = {name for name, hint in get_type_hints(Budget).items() if set(get_args(hint)) & set(rules)}
+    text = (ROOT / "docs" / "skips.md").read_text(encoding="utf-8")
+    skips, rows = (
+        set(re.findall(r"^\| `(\w+)` \|", part, re.MULTILINE)) for part in text.split("| rule of the budget |")
+    )
+    assert skips == set(switches) - {"_target_"} and rows == named
+
+
 def test_the_architecture_picture_is_what_its_script_draws():
     script = runpy.run_path(str(ROOT / "docs" / "architecture.py"))
     assert script["PICTURE"].read_text(encoding="utf-8") == script["picture"](), "run python docs/architecture.py"
@@ -129,7 +187,13 @@ def test_the_architecture_picture_is_what_its_script_draws():
 
 def test_one_version():
     assert yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"] == __version__
-    assert f"## [{__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    versions = re.findall(r"^## \[(.+)\] (\d{4}-\d\d-\d\d)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    assert versions[0][0] == __version__ and versions == sorted(versions, reverse=True)
+
+
+def test_a_version_of_the_changelog_fits_on_a_screen():
+    versions = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").split("\n## [")[1:]
+    assert max(len(version.splitlines()) for version in versions) <= 60
 
 
 def test_the_workflow_and_the_hooks_run_the_same_checks_as_the_tests():
