@@ -20,7 +20,7 @@ from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Frame, Method
-from tdgbench.training.model import SplatModel
+from tdgbench.training.splat_model import SplatModel
 
 THERMAL_DC, THERMAL_REST = (
     "t_dc",

@@ -57,7 +57,7 @@ class TDg(Method):
         self.views = context.views()
         self.targets = DepthTargets(context.priors, context.device)
         self.backend = context.backend
-        self.last_depth_iteration = int(self.decay_end * context.budget.method_iterations)  # t_end
+        self.last_depth_iteration = int(self.decay_end * context.budget.schedule_length)  # t_end
         self.skips_depth = self._decide_skip(context)
 
     def step(self, iteration: int) -> Step:

@@ -110,7 +110,7 @@ class Thermal3DGS(Method):
 
     def setup(self, context: Context) -> None:
         self.model, self.views = context.gaussians(position_unit=self.position_unit), context.views()
-        self.frame, self.corner_iterations = context.frame, self.corner_end * context.budget.method_iterations
+        self.frame, self.corner_iterations = context.frame, self.corner_end * context.budget.schedule_length
         steps = context.budget.rates.means_steps
         torch.manual_seed(context.seed)
         self.atf = self.tcm = None

@@ -108,7 +108,7 @@ class VetaGS(Method):
 
     def setup(self, context: Context) -> None:
         self.model, self.views = context.gaussians(position_unit=self.position_unit), context.views()
-        self.frame, self.iterations = context.frame, context.budget.method_iterations
+        self.frame, self.iterations = context.frame, context.budget.schedule_length
         self.noise = context.random("time_noise")
         steps = context.budget.rates.means_steps
         torch.manual_seed(context.seed)

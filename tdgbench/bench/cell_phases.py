@@ -43,9 +43,9 @@ from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.context import training_device
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
-from tdgbench.training.model import SplatModel
 from tdgbench.training.part import TrainingError
 from tdgbench.training.skips import Finished, Skips, account
+from tdgbench.training.splat_model import SplatModel
 from tdgbench.training.trainer import Trainer
 
 SLOW = 1800  # seconds of networks in a training, of which the terminal warns

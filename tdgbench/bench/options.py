@@ -26,8 +26,9 @@ from tdgbench.cells.key import flat
 from tdgbench.cells.record import LARGEST
 from tdgbench.splats.backends import backend_names
 from tdgbench.splats.density import GradientKind
+from tdgbench.training.budget import RULES
 from tdgbench.training.method import Method
-from tdgbench.training.skips import RULES, SWITCHES
+from tdgbench.training.skips import SWITCHES
 
 TEXTS = ("name", "scene", "results", "data.root")  # an ordinary name may be a number: name=2024
 LONGEST_NAME = 120  # bytes

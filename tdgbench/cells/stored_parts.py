@@ -20,9 +20,9 @@ from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats.ply import load_ply
 from tdgbench.splats.view import Render
 from tdgbench.tensors import load_tensors
-from tdgbench.training.budget import Budget
+from tdgbench.training.budget import RULES, Budget
 from tdgbench.training.method import Context, Frame
-from tdgbench.training.model import SplatModel
+from tdgbench.training.splat_model import SplatModel
 from tdgbench.training.trainer import Trainer
 
 FILE = "parts.pt"
@@ -110,9 +110,9 @@ def _trainer_of(record: Record, cameras: Cameras) -> Trainer:
 
 
 def _budget_of(record: Record) -> Budget:
-    """Return the budget without the rules that look at images."""
+    """Return the budget without rules: there are no images that they could look at."""
     options = {**(record.setting("budget") or {}), "background": "black"}
-    options |= dict.fromkeys(("harmonics", "growth", "pixels", "settling", "plateau"))
+    options |= dict.fromkeys(RULES)
     try:
         return TypeAdapter(Budget).validate_python(_without_targets(options))
     except ValidationError as error:

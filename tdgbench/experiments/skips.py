@@ -20,7 +20,8 @@ from tdgbench.files import write_text
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
-from tdgbench.training.skips import RULES, SWITCHES
+from tdgbench.training.budget import SKIP_RULES as RULES
+from tdgbench.training.skips import SWITCHES
 
 NAMES = (*SWITCHES, *RULES)
 NONE, ALL, ALONE, WITHOUT = "none", "all", "only {}", "without {}"  # variants

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
@@ -16,15 +16,13 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
-from tdgbench.training.curriculum import Curriculum, schedule
-from tdgbench.training.growth import GrowthTest
-from tdgbench.training.harmonics import are_learned_soon
+from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.images import MODALITIES, THERMAL
-from tdgbench.training.model import ModelOptions, SplatModel
 from tdgbench.training.part import Network, Part, RandomStream, Rate, State
 from tdgbench.training.rig import Rig
+from tdgbench.training.rule import DecideGrowth
 from tdgbench.training.skips import Skips
-from tdgbench.training.stopping import hold_out
+from tdgbench.training.splat_model import ModelOptions, SplatModel
 
 P = TypeVar("P", bound=Part)
 
@@ -99,48 +97,36 @@ class Context:
     parts: dict[str, Part] = field(default_factory=dict, init=False)
     curricula: dict[str, Curriculum] = field(default_factory=dict, init=False)  # by modality
     _modality_of: dict[str, str] = field(default_factory=dict, init=False, repr=False)  # of Gaussians, by name
-    _learned_soon: dict[str, bool] = field(default_factory=dict, init=False, repr=False)  # harmonics, by modality
+    _adaptations: dict[str, list[Callable[[Budget], Budget]]] = field(default_factory=dict, init=False, repr=False)
     _streams: int = field(default=0, init=False, repr=False)
 
     def curriculum(self, modality: str) -> Curriculum:
         """Return what chooses the training views of each iteration, and their resolution, for models of a modality.
 
-        Where held-out views decide (`SettlingRule`) it is one for each modality, else that of the stage.
+        It is one for each modality where a rule watches the images of each, else that of the stage.
         """
-        budget, views, is_other = self.budget, self.scene.train, modality != self.modality
-        if is_other and budget.settling is None:
+        rules, views, is_other = self.budget.active_rules, self.scene.train, modality != self.modality
+        if is_other and not any(rule.watches_modalities for rule in rules):
             return self.curriculum(self.modality)
         if modality not in self.curricula:
-            steps, held_out = [], []
-            if budget.pixels is not None and views:
-                points = len(self.points.points)
-                steps = schedule(budget.pixels, views, MODALITIES[modality], points, budget.iterations)
-            if budget.settling is not None:
-                held_out = hold_out(budget.settling, views)
+            images, points = MODALITIES[modality], len(self.points.points)
+            low = [one for rule in rules for one in rule.resolutions(views, images, points, self.budget.iterations)]
+            held_out = [view for rule in rules for view in rule.held_out(views)]
             name = f"{modality}_curriculum" if is_other else "curriculum"
-            self.curricula[modality] = self.add_part(name, Curriculum(steps, held_out))
+            self.curricula[modality] = self.add_part(name, Curriculum(low, held_out))
         return self.curricula[modality]
 
     def adapted(self, budget: Budget, modality: str) -> Budget:
-        """Return a budget as its rule for harmonics changes it for the images of a modality.
+        """Return a budget as the stage's rules change it for models of a modality."""
+        if modality not in self._adaptations:
+            images = MODALITIES[modality]
+            self._adaptations[modality] = [rule.adaptation(self.scene, images) for rule in self.budget.active_rules]
+        for adapt in self._adaptations[modality]:
+            budget = adapt(budget)
+        return budget
 
-        The rule needs measured points: the scene's sparse ones, whatever the initial ones are.
-        """
-        rule = budget.harmonics
-        if rule is None or budget.sh_degree == 0 or self.scene.points is None:
-            return budget
-        if modality not in self._learned_soon:
-            views, points = self.scene.train, self.scene.points.points
-            self._learned_soon[modality] = are_learned_soon(rule, views, MODALITIES[modality], points)
-        if not self._learned_soon[modality]:
-            return budget
-        settling = budget.settling
-        if settling is not None:
-            settling = replace(settling, gain=min(settling.gain, rule.gain))
-        return replace(budget, sh_every=min(budget.sh_every, rule.every), settling=settling)
-
-    def parts_of(self, modality: str) -> dict[str, Part]:
-        """Return the parts whose training a modality's curriculum ends: its Gaussians; the stage's, all other parts."""
+    def parts_trained_on(self, modality: str) -> dict[str, Part]:
+        """Return the Gaussians of a modality by name; parts other than Gaussians count as of the stage's modality."""
         return {n: part for n, part in self.parts.items() if self._modality_of.get(n, self.modality) == modality}
 
     def for_stage(self, number: int, share: float, modality: str = THERMAL.name, rig: Rig | None = None) -> Context:
@@ -198,15 +184,20 @@ class Context:
             start = gaussians_from_points(self.points.points, self.points.colors, channels, budget.sh_degree)
         start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self.background(modality), self.rig if images is THERMAL else None
-        of_rig = {} if rig is None else {"camera_of": rig.camera}
-        growth, growth_test, curriculum = self.budget.growth, None, self.curriculum(modality)
-        if growth is not None:
-            growth_test = GrowthTest(growth, self.scene.train, images, curriculum, self.backend, background, **of_rig)
-        options = ModelOptions(name or modality, rig, growth_test, background, learning_rates or {}, position_unit)
+        growth = self._growth(modality, background, rig)
+        options = ModelOptions(name or modality, rig, growth, background, learning_rates or {}, position_unit)
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(start, budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
         self._modality_of[options.name] = modality
         return self.add_part(options.name, model)
+
+    def _growth(self, modality: str, background: torch.Tensor | None, rig: Rig | None) -> DecideGrowth | None:
+        """Return what decides the growth of a model by the first rule that has a say in it."""
+        images, curriculum = MODALITIES[modality], self.curriculum(modality)
+        camera_of = rig.camera if rig is not None else lambda camera: camera
+        inputs = (self.scene.train, images, curriculum, self.backend, background, camera_of)
+        found = (rule.growth(*inputs) for rule in self.budget.active_rules)
+        return next((growth for growth in found if growth is not None), None)
 
     def views(self, name: str = "views", modality: str | None = None) -> ViewOrder:
         """Make a random order of the training views, for models of a modality (None: the stage's)."""

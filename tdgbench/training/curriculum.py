@@ -1,60 +1,67 @@
-"""The training views of each iteration and their resolution.
+"""The training views of each iteration and their resolution: low at first, and without held-out views, if rules say so.
 
-The resolution is low at first, if the spectrum of the images allows it (DashGaussian).
+Which resolutions there are is decided by `tdgbench.training.pixels`, which views are held out by
+`tdgbench.training.settling`.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from tdgbench.scenes import View
-from tdgbench.scenes.images import nearest_valid, resize
-from tdgbench.training.budget import SCALES, PixelRule
-from tdgbench.training.images import Modality
+from tdgbench.scenes.images import resize
 from tdgbench.training.part import Part, Report, State
-from tdgbench.training.spectrum import noise_of, significant_amplitudes
 
 MOSTLY = 0.5
 
 
+class Resolution(NamedTuple):
+    """A resolution below the full one."""
+
+    last: int  # iteration, by the schedule
+    scale: int  # images have 1/scale of their width and height
+
+
 class Curriculum(Part):
-    """Chooses the training views of an iteration and their scale. Without steps and held-out views: all, full size.
+    """Chooses the training views of an iteration and their scale; by default all of them, at full size.
 
     The resolution follows the schedule; `advance` moves to the next one earlier.
     """
 
-    def __init__(self, steps: list[tuple[int, int]] | None = None, held_out: list[View] | None = None) -> None:
-        """steps: (last iteration, scale) of each resolution below the full one. held_out: not trained on at first."""
-        self.steps = steps or []
+    def __init__(self, resolutions: list[Resolution] | None = None, held_out: list[View] | None = None) -> None:
+        """resolutions: below the full one, the lowest first. held_out: views that are not trained on at first."""
+        self.resolutions = resolutions or []
         self.held_out = held_out or []
         self.is_holding = bool(self.held_out)
         self._names = {view.name for view in self.held_out}
-        self._step = 0  # in use; len(steps): the full resolution
+        self._scales = [*(resolution.scale for resolution in self.resolutions), 1]
+        self._step = 0  # the resolution in use; that after the last one is the full one
         self.settled_at = 0  # the last iteration before the tail; 0: there is none yet
         self.has_ended = False  # after the tail: the model is trained no more
         self._shrunk: dict[str, View] = {}
         self._iteration = 0
-        self._trained = [0] * (len(self.steps) + 1)  # iterations at each step
+        self._trained = [0] * (len(self.resolutions) + 1)  # iterations at each resolution
 
     def begin(self, iteration: int) -> None:
         """Set the resolution of an iteration (1-based)."""
         self._iteration = iteration
         step = self._step
-        while not self.settled_at and step < len(self.steps) and iteration > self.steps[step][0]:
+        while not self.settled_at and step < len(self.resolutions) and iteration > self.resolutions[step].last:
             step += 1
         self._use(step)
         self._trained[self._step] += not self.has_ended
 
     def advance(self) -> None:
         """Go on to the next resolution."""
-        self._use(min(self._step + 1, len(self.steps)))
+        self._use(min(self._step + 1, len(self.resolutions)))
 
     def settle(self, scale: int) -> None:
         """Train on the held-out views as well from now on, at a fixed scale."""
         self.is_holding, self.settled_at = False, max(1, self._iteration)
-        self._use([*(size for _, size in self.steps), 1].index(scale))
+        self._use(self._scales.index(scale))
 
     def _use(self, step: int) -> None:
         if step != self._step:
@@ -63,17 +70,17 @@ class Curriculum(Part):
     @property
     def scale(self) -> int:
         """Images have 1/scale of their width and height now."""
-        return self.steps[self._step][1] if self._step < len(self.steps) else 1
+        return self._scales[self._step]
 
     @property
     def is_at_full_resolution(self) -> bool:
         """Whether images have all their pixels now."""
-        return self._step == len(self.steps)
+        return self._step == len(self.resolutions)
 
     @property
     def iterations(self) -> dict[int, int]:
         """Iterations trained so far by scale, the largest scale first."""
-        return dict(zip((*(scale for _, scale in self.steps), 1), self._trained, strict=True))
+        return dict(zip(self._scales, self._trained, strict=True))
 
     def shows(self, view: View) -> bool:
         """Return whether a view is trained on."""
@@ -103,26 +110,13 @@ class Curriculum(Part):
         return {"iterations": by_scale, "held_out": len(self.held_out), "settled_at": self.settled_at}
 
 
-def schedule(
-    rule: PixelRule, views: list[View], modality: Modality, gaussians: int, iterations: int
-) -> list[tuple[int, int]]:
-    """Return the steps (last iteration, scale) of `Curriculum`, for the images of a modality.
+def evenly_spread(views: list[View], count: int) -> list[View]:
+    """Return a number of views at even distances in their order.
 
-    gaussians: their number at the start. Images with fewer pixels than Gaussians save little time.
+    >>> evenly_spread(list(range(40)), 4)
+    [5, 15, 25, 35]
     """
-    side = min(min(view.camera.width, view.camera.height) for view in views)
-    pixels = min(view.camera.width * view.camera.height for view in views)
-    scales = tuple(
-        s for s in SCALES
-        if s == 1 or (s <= rule.largest_scale and side // s >= rule.smallest_side and pixels >= gaussians * s**2)
-    )  # fmt: skip
-    amplitudes = []  # without masked pixels
-    for view in views:
-        image, valid = modality.array(view), modality.valid(view)
-        amplitudes.append(significant_amplitudes(nearest_valid(image, valid), noise_of(image, valid), scales))
-    shares = np.mean(amplitudes, axis=0)
-    ends = [int(share * rule.until * iterations) for share in shares]
-    return [(end, scale) for end, scale in zip(ends, scales, strict=True) if scale > 1 and end > 0]
+    return [views[int((i + 0.5) * len(views) / count)] for i in range(count)]
 
 
 def shrunk(view: View, scale: int) -> View:

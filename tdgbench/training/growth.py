@@ -1,4 +1,4 @@
-"""Growth of Gaussians whose two halves have significantly different residuals over several views.
+"""The rule for growth: a Gaussian grows if its halves have significantly different residuals over several views.
 
 Splitting or cloning a Gaussian lets its two halves have different values. That explains the contrast of the residuals r
 in its halves, whose means m differ. With the blending weights w of a half summed to W, a view gives
@@ -19,11 +19,13 @@ the squared error. So those grow, the strongest first, that together make up `sh
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import torch
+from pydantic import Field, NonNegativeFloat, PositiveInt
 from torch import Tensor
 
 from tdgbench.scenes import Camera, View
@@ -33,10 +35,10 @@ from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.density import GrowthDecision, strongest
 from tdgbench.splats.render import footprint_sums, render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
-from tdgbench.training.budget import GrowthRule
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.images import Modality
-from tdgbench.training.spectrum import typical_noise
+from tdgbench.training.rule import DecideGrowth, Rule
+from tdgbench.training.skips import Finished, Skip, summed
 
 SLACK = 1e-3  # relative, of distances, against rounding
 TINY = 1e-20  # px, below any weight
@@ -46,8 +48,39 @@ NARROWER = (1 - HALF**2) ** 0.5  # σ of a half on that axis: both together have
 FAINTER = 0.5 / NARROWER  # opacity of a half: both together have the Gaussian's mass
 
 
+@dataclass(frozen=True)
+class GrowthRule(Rule):
+    """Let Gaussians grow on the evidence of rendered training views, in the place of a threshold of gradients."""
+
+    views: PositiveInt  # training views that a round renders
+    z: NonNegativeFloat  # standard deviations of noise by which the halves of a Gaussian that grows differ
+    share: Annotated[float, Field(gt=0, le=1)]  # of the gain that these promise, which the strongest that grow make up
+    clearance: NonNegativeFloat  # standard deviations between a Gaussian's centre and a camera; others are pruned
+
+    def growth(
+        self,
+        views: list[View],
+        images: Modality,
+        curriculum: Curriculum,
+        backend: str,
+        background: Tensor | None,
+        camera_of: Callable[[Camera], Camera],
+    ) -> DecideGrowth:
+        return GrowthTest(self, views, images, curriculum, backend, background, camera_of).decide
+
+    def compile_kernels(self, gaussians: Gaussians, camera: Pinhole, backend: str) -> None:
+        black = gaussians.means.new_zeros(camera.height, camera.width, gaussians.channels)
+        footprints(sums_of_halves(gaussians, backend), camera, black, None)
+
+    def account(self, skip: Skip, training: Finished) -> None:
+        not_grown = summed(training.work, "not_grown")
+        grown = summed(training.work, "cloned") + summed(training.work, "split")
+        reason = f"{grown} Gaussians grew, on evidence from {self.views} views a round"
+        skip.decide(not_grown > 0, reason, f"growth of {not_grown} Gaussians with large gradients")
+
+
 class GrowthTest:
-    """Decides which Gaussians of a model grow, by a rule of the budget."""
+    """Decides which Gaussians of a model grow, by a `GrowthRule`."""
 
     def __init__(
         self,
@@ -69,7 +102,7 @@ class GrowthTest:
     @cached_property
     def noise(self) -> float:
         """Standard deviation of the noise in the views' images, at full resolution."""
-        return typical_noise((self.modality.array(view), self.modality.valid(view)) for view in self.views)
+        return self.modality.typical_noise(self.views)
 
     @torch.no_grad()
     def decide(self, gaussians: Gaussians, degree: int, round_number: int) -> GrowthDecision:
@@ -90,10 +123,11 @@ class GrowthTest:
         return GrowthDecision(strength, grow, self.at_cameras(gaussians))
 
     def at_cameras(self, gaussians: Gaussians) -> Tensor:
-        """Return which Gaussians (N,) have a training camera, held out or not, within `clearance` of their centre.
+        """Return which Gaussians (N,) have a training camera within `clearance` of their centre.
 
-        Where a camera stands, nothing is. Such a Gaussian lies before the near plane of the cameras around it, which so
-        do not see it, and hides the image of one between them: its projection, linear at its centre, is that large.
+        Nothing can be where a camera stands; cameras of held-out views count as well. Cameras around such a Gaussian do
+        not see it, because it lies before their near plane. A camera between them would see nothing else: the
+        projection, which is linear at the Gaussian's centre, covers its image.
         """
         centers = np.stack([self.camera_of(view.camera).center for view in self.views])
         x, y, z = gaussians.means.T.contiguous()

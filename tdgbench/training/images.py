@@ -1,4 +1,4 @@
-"""The images that a model is trained on, by modality: thermal images, of which pixels may be masked, and RGB."""
+"""The images that a model is trained on, by modality: thermal images, of which pixels may be masked, and RGB; noise."""
 
 from __future__ import annotations
 
@@ -8,9 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.ndimage import convolve
 from torch import Tensor
 
 from tdgbench.scenes import Scene, View, modalities
+
+QUANTISATION = 1 / 255 / 12**0.5  # standard deviation of rounding to 8 bits
+MASK = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]]) / 6.0  # unit noise has a response of unit variance
+MAD_TO_SIGMA = 1.4826  # of a normal distribution
 
 
 class ViewTensors:
@@ -19,7 +24,7 @@ class ViewTensors:
     def __init__(self) -> None:
         self._tensors: dict[int, dict[tuple[str, str], tuple[np.ndarray, Tensor]]] = {}
 
-    def of(self, view: View, name: str, device: torch.device) -> Tensor:
+    def tensor(self, view: View, name: str, device: torch.device) -> Tensor:
         """Return the array `name` of a view as a read-only tensor."""
         if id(view) not in self._tensors:
             self._tensors[id(view)] = {}
@@ -57,8 +62,8 @@ class Modality:
         Later calls return the same tensors, for which losses cache intermediate results.
         """
         valid = self.valid(view)
-        mask = None if valid is None else _TENSORS.of(view, "valid", device)
-        return _TENSORS.of(view, self.name, device), mask
+        mask = None if valid is None else _TENSORS.tensor(view, "valid", device)
+        return _TENSORS.tensor(view, self.name, device), mask
 
     def mean(self, views: Sequence[View]) -> np.ndarray:
         """Return the mean (C,) float32 of the pixels that count in some view."""
@@ -69,6 +74,29 @@ class Modality:
             total, count = total + pixels.sum(axis=0, dtype=np.float64), count + len(pixels)
         return np.asarray(total / max(count, 1), np.float32)
 
+    def typical_noise(self, views: Sequence[View]) -> float:
+        """Return the median over views of the standard deviation of their images' noise (`noise_of`)."""
+        return float(np.median([noise_of(self.array(view), self.valid(view)) for view in views]))
+
 
 MODALITIES = {name: Modality(name) for name in modalities.LABELS}
 THERMAL, RGB = MODALITIES[modalities.THERMAL], MODALITIES["rgb"]
+
+
+def noise_of(image: np.ndarray, valid: np.ndarray | None = None) -> float:
+    """Return the standard deviation of white noise in an image (H, W, C), in its units; at least that of 8 bits.
+
+    The mask of Immerkær (1996, Fast Noise Variance Estimation) has no response to planes and straight steps; the median
+    of its absolute response is robust to other edges. valid: bool (H, W); windows with a masked pixel do not
+    count.
+
+    >>> noise = np.random.default_rng(0).normal(0.5, 0.02, (64, 64, 1))
+    >>> round(noise_of(noise), 3)
+    0.02
+    """
+    if min(image.shape[:2]) < 3:
+        return QUANTISATION
+    response = np.abs(convolve(image.astype(np.float64), MASK[..., None])[1:-1, 1:-1])
+    if valid is not None:
+        response = response[convolve(valid.astype(np.int64), np.ones((3, 3), np.int64))[1:-1, 1:-1] == 9]
+    return max(MAD_TO_SIGMA * float(np.median(response)), QUANTISATION) if response.size else QUANTISATION

@@ -75,7 +75,7 @@ def train(
     try:
         with trainer.pending:
             while not log.ended:
-                iteration = log.iterations - trainer.iterations_before + 1  # within the stage
+                iteration = log.iterations - trainer.stage_start + 1  # within the stage
                 for part in trainer.parts.values():
                     part.begin(iteration)
                 step = trainer.stage.step(iteration)
@@ -108,7 +108,7 @@ def train(
                     after_iteration(log)
                     clock = Clock(log)
     except TrainingError as error:
-        error.iteration += trainer.iterations_before  # of the whole training, as in the log
+        error.iteration += trainer.stage_start  # of the whole training, as in the log
         raise
     return log
 

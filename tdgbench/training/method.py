@@ -13,7 +13,7 @@ from torch import Tensor
 from tdgbench.scenes import Scene
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context, Frame
-from tdgbench.training.model import SplatModel
+from tdgbench.training.splat_model import SplatModel
 
 __all__ = ["Context", "Frame", "Method", "Share", "SmoothnessReading", "Stage", "Step"]
 

@@ -31,7 +31,7 @@ class Part:
         """
         return None
 
-    def scale_learning_rates(self, factor: float) -> None:
+    def set_slowdown(self, factor: float) -> None:
         """Set the factor of all learning rates, at most 1; it replaces an earlier one."""
 
     def stop_growth(self, iteration: int) -> None:
@@ -109,7 +109,7 @@ class Network(Part):
         self.optimizer.step()
         return None
 
-    def scale_learning_rates(self, factor: float) -> None:
+    def set_slowdown(self, factor: float) -> None:
         self._slowdown = factor
 
     def not_finite(self) -> str | None:

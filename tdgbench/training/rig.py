@@ -48,7 +48,7 @@ class Rig(Part):
         self.optimizer.zero_grad()
         return bad
 
-    def scale_learning_rates(self, factor: float) -> None:
+    def set_slowdown(self, factor: float) -> None:
         for name, group in zip(NUMBERS, self.optimizer.param_groups, strict=True):
             group["lr"] = factor * RATE * RATES[name]
 

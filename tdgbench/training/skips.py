@@ -1,19 +1,22 @@
 """Skips: work that a training leaves out if the scene does not need it, with the reason and the saving.
 
-Six can be switched off in `conf/skip/`; a rule of the budget (`tdgbench.training.budget`) is off where it is null.
+Some are switched in `conf/skip/`. The others are rules of the budget (`tdgbench.training.rule`), off where they are
+null.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from tdgbench.scenes import Scene
 from tdgbench.splats.density import DensityChange
 from tdgbench.splats.gradients import Gradients, PendingGradients
-from tdgbench.training.budget import Budget
 from tdgbench.training.curriculum import Curriculum
+
+if TYPE_CHECKING:  # its rules report their skips
+    from tdgbench.training.budget import Budget
 
 
 @dataclass
@@ -53,13 +56,13 @@ class Skips:
 
     def __init__(self, otherwise: bool = True, **allowed: bool) -> None:
         """Switch skips on or off by name; `otherwise` counts for the others. Raises ValueError for an unknown name."""
-        unknown = set(allowed) - set(SWITCHES)
+        unknown = sorted(set(allowed) - set(SWITCHES))
         if unknown:
-            raise ValueError(f"there is no skip {', '.join(sorted(unknown))}; there are {', '.join(SWITCHES)}")
+            raise ValueError(f"there is no skip {', '.join(unknown)}; there are {', '.join(SWITCHES)}")
         self.gray, self.rgb, self.prior, self.depth, self.unseen, self.saturated = (
             Skip(name, allowed.get(name, otherwise)) for name in SWITCHES
         )
-        self.iterations_with_depth = 0  # at the start of the training; the others are without it
+        self.depth_until = 0  # the last iteration with depth
 
     def all(self) -> list[Skip]:
         """Return every skip, in the order of records."""
@@ -67,13 +70,12 @@ class Skips:
 
     def skip_depth(self, without: int, iterations: int, reason: str = "") -> bool:
         """Return whether to skip depth in the last `without` of all iterations. reason: empty for a weight of 0."""
-        self.iterations_with_depth = iterations - without
-        reason = reason or f"the depth loss weighs nothing from iteration {self.iterations_with_depth + 1} on"
+        self.depth_until = iterations - without
+        reason = reason or f"the depth loss weighs nothing from iteration {self.depth_until + 1} on"
         return self.depth.decide(without > 0, reason, _without_depth(without, iterations))
 
 
 SWITCHES = ("gray", "rgb", "prior", "depth", "unseen", "saturated")
-RULES = ("growth", "pixels", "settling", "plateau")  # of the budget
 
 
 @dataclass
@@ -113,16 +115,29 @@ class Finished(NamedTuple):
     curricula: list[tuple[Curriculum, int]]  # of each stage and modality, with the iterations of the stage's budget
     work: list[Work]  # of each set of Gaussians
 
+    @property
+    def remaining(self) -> int:
+        """Iterations of the budget that were not trained."""
+        return self.budget.iterations - self.iterations
+
+    @property
+    def left_out(self) -> str:
+        """These iterations, in words."""
+        return f"{self.remaining} of {self.budget.iterations} iterations"
+
 
 def account(skips: Skips, training: Finished) -> list[Skip]:
     """Return all skips of a training with reasons and savings: first the switches, then the rules of the budget."""
     _account_switches(skips, training)
-    rules = [Skip(name, getattr(training.budget, name) is not None) for name in RULES]
-    for skip, decide in zip(rules, (_growth, _pixels, _settling, _plateau), strict=True):
-        decide(skip, training)
-        if not skip.allowed:
-            skip.reason = f"the budget has no rule for {skip.name}"
-    return [*skips.all(), *rules]
+    found = skips.all()
+    for name, rule in training.budget.skip_rules.items():
+        skip = Skip(name, allowed=rule is not None)
+        if rule is None:
+            skip.reason = f"the budget has no rule for {name}"
+        else:
+            rule.account(skip, training)
+        found.append(skip)
+    return found
 
 
 def _account_switches(skips: Skips, training: Finished) -> None:
@@ -138,71 +153,21 @@ def _account_switches(skips: Skips, training: Finished) -> None:
         skips.depth.decide(False, f"{method} has no depth loss")
     elif skips.depth.taken:
         trained = training.iterations
-        without = max(0, trained - skips.iterations_with_depth)
+        without = max(0, trained - skips.depth_until)
         needed = f"training ended after {trained} iterations, all of which need depth"
         skips.depth.decide(without > 0, skips.depth.reason if without else needed, _without_depth(without, trained))
-    rows, touched = _sum(training.work, "rows"), _sum(training.work, "touched")
+    rows, touched = summed(training.work, "rows"), summed(training.work, "touched")
     share = touched / max(rows, 1)
     reason = f"a step touched {share:.0%} of the Gaussians"
     skips.unseen.decide(touched < rows, reason, f"{1 - share:.0%} of the rows")
-    pairs, blended = _sum(training.work, "pairs"), _sum(training.work, "blended")
+    pairs, blended = summed(training.work, "pairs"), summed(training.work, "blended")
     share = blended / max(pairs, 1)
     reason = f"{share:.1%} of the pairs came before their tile's end" if pairs else "the backend does not tell"
     skips.saturated.decide(blended < pairs, reason, f"{1 - share:.1%} of the pairs")
 
 
-def _growth(skip: Skip, training: Finished) -> None:
-    rule = training.budget.growth
-    not_grown = _sum(training.work, "not_grown")
-    grown = _sum(training.work, "cloned") + _sum(training.work, "split")
-    if rule is not None:
-        reason = f"{grown} Gaussians grew, on evidence from {rule.views} views a round"
-        skip.decide(not_grown > 0, reason, f"growth of {not_grown} Gaussians with large gradients")
-
-
-def _pixels(skip: Skip, training: Finished) -> None:
-    trained: dict[int, int] = {}
-    for curriculum, _ in training.curricula:
-        for scale, count in curriculum.iterations.items():
-            trained[scale] = trained.get(scale, 0) + count
-    reason = ", ".join(f"{count} iterations at 1/{scale}" for scale, count in trained.items() if scale > 1 and count)
-    left_out = sum(count * (1 - 1 / scale**2) for scale, count in trained.items())
-    nothing = "the images are too small, or all of their spectrum is in their highest frequencies"
-    skip.decide(bool(reason), reason or nothing, f"{left_out / max(sum(trained.values()), 1):.0%} of the pixels")
-
-
-def _settling(skip: Skip, training: Finished) -> None:
-    rule, iterations = training.budget.settling, training.budget.iterations
-    if rule is None:
-        return
-    is_early = any(0 < curriculum.settled_at < rule.latest(length) for curriculum, length in training.curricula)
-    held_out = len(training.curricula[0][0].held_out)
-    if not held_out:
-        reason = "too few training views to hold some out"
-    elif not is_early:
-        reason = f"{held_out} held-out views went on getting better"
-    else:
-        reason = f"{held_out} held-out views no longer gained from window to window"
-    remaining = iterations - training.iterations
-    skip.decide(is_early and remaining > 0, reason, f"{remaining} of {iterations} iterations")
-
-
-def _plateau(skip: Skip, training: Finished) -> None:
-    rule, iterations = training.budget.plateau, training.budget.iterations
-    if rule is None:
-        return
-    remaining = iterations - training.iterations
-    is_asked = not any(curriculum.settled_at for curriculum, _ in training.curricula)
-    if not is_asked:
-        reason = "the rule for settling decided"
-    elif remaining == 0:
-        reason = "the loss went on falling"
-    else:
-        reason = f"the loss no longer fell by {rule.gain:.2%} a window"
-    skip.decide(is_asked and remaining > 0, reason, f"{remaining} of {iterations} iterations")
-
-
-def _sum(work: Iterable[Work], name: str) -> int:
+def summed(work: Iterable[Work], name: str) -> int:
+    """Return the sum of a count over sets of Gaussians."""
     return sum(getattr(counts, name) for counts in work)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
+import math
+from collections.abc import Callable
+from types import TracebackType
 
 import numpy as np
 import torch
@@ -11,11 +13,11 @@ from tdgbench.scenes import View
 from tdgbench.training.context import Context
 from tdgbench.training.images import MODALITIES, THERMAL
 from tdgbench.training.method import Method, Stage
-from tdgbench.training.model import SplatModel
-from tdgbench.training.part import Part, Report, State, Stopping
-from tdgbench.training.pending import Pending
+from tdgbench.training.part import Part, Report, State
 from tdgbench.training.rig import Rig
-from tdgbench.training.stopping import AllSettled, Plateau, Settling
+from tdgbench.training.splat_model import SplatModel
+
+MIN_MSE = 1e-10
 
 
 class Trainer:
@@ -32,7 +34,7 @@ class Trainer:
         whole = self.whole_context
         self._rig = Rig(whole.scene.extent, whole.device) if whole.learns_rig else None
         self.on_gpu, self.pending = whole.device.type != "cpu", Pending()
-        self.stage_number, self.iterations_before = 0, 0
+        self.stage_number, self.stage_start = 0, 0
         self.contexts: list[Context] = []  # of the stages so far
         self._finished: list[tuple[str, str, Part]] = []  # stage, name and part
         self._start()
@@ -41,18 +43,8 @@ class Trainer:
         self.context = self.whole_context.for_stage(self.stage_number, self.stage.share, self.stage.modality, self._rig)
         self.contexts.append(self.context)
         self.stage.setup(self.context)
-        budget, context = self.context.budget, self.context
-        self.stopping: Stopping | None = None  # the rule of the budget that may end the stage early
-        if budget.settling is not None:
-            rules = {}
-            for name, curriculum in context.curricula.items():
-                rule = context.adapted(budget, name).settling
-                assert rule is not None  # as the stage's
-                errors = partial(self.render_errors, modality=name)
-                rules[name] = Settling(rule, budget.iterations, curriculum, context.parts_of(name), errors)
-            self.stopping = AllSettled(rules) if len(rules) > 1 else rules[self.stage.modality]
-        elif budget.plateau is not None:
-            self.stopping = Plateau(budget.plateau, len(context.scene.train))
+        found = (rule.stopping(self) for rule in self.context.budget.active_rules)
+        self.stopping = next((stopping for stopping in found if stopping is not None), None)
 
     @property
     def stage(self) -> Stage:
@@ -86,7 +78,7 @@ class Trainer:
         if self.is_last_stage:
             return
         done, name = self.parts, self.stage.name
-        self.stage_number, self.iterations_before = self.stage_number + 1, self.iterations_before + iterations
+        self.stage_number, self.stage_start = self.stage_number + 1, self.stage_start + iterations
         self._start()
         current = [id(part) for part in self.parts.values()]
         self._finished += [(name, n, part) for n, part in done.items() if id(part) not in current]
@@ -98,7 +90,7 @@ class Trainer:
         """
         self.pending.read()
         parts = {name: part.state_dict() for name, part in self.all_parts().items()}
-        return {"stage": self.stage_number, "before": self.iterations_before, "parts": parts}
+        return {"stage": self.stage_number, "before": self.stage_start, "parts": parts}
 
     def at_stage(self, number: int) -> None:
         """Go to a stage (0-based) without training, to load its state. Raises ValueError if there is none."""
@@ -109,7 +101,7 @@ class Trainer:
 
     def load_state_dict(self, saved: State) -> None:
         """Restore what `state_dict` returned at the same stage."""
-        self.iterations_before = saved["before"]
+        self.stage_start = saved["before"]
         for name, part in self.all_parts().items():
             part.load_state_dict(saved["parts"][name])
 
@@ -119,9 +111,41 @@ class Trainer:
         return {name: report for name, report in reports.items() if report}
 
     @torch.no_grad()
-    def render_errors(self, view: View, modality: str = THERMAL.name) -> np.ndarray:
-        """Return render minus image of a modality, at the pixels that count: (n, C)."""
+    def psnr_of(self, view: View, modality: str = THERMAL.name) -> float:
+        """Return the PSNR (dB) of a render of a modality from a view, at the pixels that count."""
         images = MODALITIES[modality]
         image, valid = images.array(view), images.valid(view)
         error: np.ndarray = self.method.render(self.context.frame(view), images.name).image.cpu().numpy() - image
-        return error.reshape(-1, error.shape[2]) if valid is None else error[valid]
+        error = error.reshape(-1, error.shape[2]) if valid is None else error[valid]
+        return -10 * math.log10(max(float(np.square(error).mean(dtype=np.float64)), MIN_MSE))
+
+
+class Pending:
+    """Checks of earlier steps on a GPU, made when their numbers have reached the host; they may raise NonFiniteError.
+
+    The loop makes them after the next step has been rendered. By then the host has waited for the number of pairs,
+    which the device computes after these numbers, so that a check waits for nothing. At the end of a `with` statement
+    they are made as well; an error of theirs replaces a later one.
+    """
+
+    def __init__(self) -> None:
+        self._checks: list[Callable[[], None]] = []
+
+    def add(self, check: Callable[[], None]) -> None:
+        """Make a check at the next `read`."""
+        self._checks.append(check)
+
+    def read(self) -> None:
+        """Make the checks, in their order; wait for numbers that have not arrived."""
+        checks, self._checks = self._checks, []
+        for check in checks:
+            check()
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None or isinstance(error, Exception):
+            self.read()

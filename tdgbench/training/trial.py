@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tdgbench.training.context import Context
+from tdgbench.training.curriculum import evenly_spread
 from tdgbench.training.loop import train
 from tdgbench.training.method import Method
-from tdgbench.training.stopping import psnr_of_error, spread
 from tdgbench.training.trainer import Trainer
 
 ITERATIONS = 1000  # of either training, at most
@@ -37,17 +37,16 @@ def try_rig(method: Method, whole: Context) -> RigTrial:
     views = whole.scene.train
     if len(views) < 4 * FEWEST:
         return RigTrial([], False, f"{len(views)} training views are too few to hold out {FEWEST}")
-    held_out = spread(views, max(FEWEST, round(SHARE * len(views))))
+    held_out = evenly_spread(views, max(FEWEST, round(SHARE * len(views))))
     chosen = {view.name for view in held_out}
     scene = replace(whole.scene, train=[view for view in views if view.name not in chosen], test=held_out)
-    length = min(ITERATIONS, whole.budget.iterations)
-    budget = replace(whole.budget, iterations=length, settling=None, plateau=None)
+    budget = whole.budget.for_trial(min(ITERATIONS, whole.budget.iterations))
     psnrs = []
     for learns_rig in (True, False):
         context = replace(whole, scene=scene, budget=budget, skips=deepcopy(whole.skips), learns_rig=learns_rig)
         trainer = Trainer(method, context)
         train(trainer)
-        psnrs.append([psnr_of_error(trainer.render_errors(view)) for view in held_out])
+        psnrs.append([trainer.psnr_of(view) for view in held_out])
     gains = np.array(psnrs[0]) - np.array(psnrs[1])
     mean, error = float(gains.mean()), float(gains.std(ddof=1)) / len(gains) ** 0.5
     reason = f"{mean:+.2f} ± {error:.2f} dB at {len(gains)} held-out training views"

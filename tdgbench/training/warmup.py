@@ -11,9 +11,8 @@ from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.view import Pinhole
 from tdgbench.training.budget import Budget
 from tdgbench.training.context import training_device
-from tdgbench.training.growth import footprints, sums_of_halves
 from tdgbench.training.losses import inverse_expected_depth, min_max, thermal_loss
-from tdgbench.training.model import SplatModel
+from tdgbench.training.splat_model import SplatModel
 
 SIZE = 16  # px
 
@@ -23,8 +22,8 @@ def compile_kernels(
 ) -> None:
     """Compile the kernels of trainings with these numbers of channels, by steps on a toy scene.
 
-    depth: the loss takes rendered depth, so that its gradient is needed, too. masked: some views have a mask, for which
-    the losses are compiled apart.
+    depth: the loss takes rendered depth, so that its gradient is needed, too. masked: some views have a mask,
+    for which the losses have kernels of their own.
     """
     chosen = load_backend(choose_backend(backend, training_device(backend), torch.float32))
     with chosen.compiling(channels, depth):
@@ -56,6 +55,6 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, depth: bool, m
             model.step(iteration)
         with torch.no_grad():
             model.render(camera, depth=True)  # as held-out views are
-        if budget.growth is not None:
-            footprints(sums_of_halves(model.gaussians, backend), Pinhole.of(camera), torch.zeros_like(black), None)
+        for rule in budget.active_rules:
+            rule.compile_kernels(model.gaussians, Pinhole.of(camera), backend)
         model.optimizer.flush()

@@ -4,7 +4,8 @@ import pytest
 from tdgbench.cells.record import Record, read_all
 from tdgbench.experiments.matrix import MatrixCell, run_cells, table_of
 from tdgbench.experiments.skips import NAMES, SkipAblation, axes, numbers, summary, variants, with_changes
-from tdgbench.training.skips import RULES, SWITCHES
+from tdgbench.training.budget import SKIP_RULES as RULES
+from tdgbench.training.skips import SWITCHES
 from tests.helpers.configs import SMALL, config
 
 

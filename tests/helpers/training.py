@@ -16,8 +16,8 @@ from tdgbench.splats.gradients import Gradients
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
-from tdgbench.training.model import SplatModel
 from tdgbench.training.skips import Skips
+from tdgbench.training.splat_model import SplatModel
 from tdgbench.training.trainer import Trainer
 from tests.helpers.configs import config
 

@@ -19,7 +19,7 @@ from tdgbench.training import model as model_module
 from tdgbench.training.context import Context
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method, Step
-from tdgbench.training.model import SplatModel
+from tdgbench.training.splat_model import SplatModel
 from tdgbench.training.trainer import Trainer
 from tests.helpers.configs import config
 from tests.helpers.deferred import apply_deferred_steps

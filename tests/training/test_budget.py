@@ -31,6 +31,6 @@ def test_degrees_rise_on_time():
 
 
 def test_schedules_of_methods_do_not_outlast_a_training():
-    assert budget("budget=paper", "method=tdg").method_iterations == 10_000
-    assert budget("budget=lean").method_iterations == 3000
-    assert budget("budget=lean", "budget.iterations=500").method_iterations == 500
+    assert budget("budget=paper", "method=tdg").schedule_length == 10_000
+    assert budget("budget=lean").schedule_length == 3000
+    assert budget("budget=lean", "budget.iterations=500").schedule_length == 500

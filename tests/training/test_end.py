@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tdgbench.training.budget import PlateauRule
 from tdgbench.training.loop import TrainingLog, train
-from tdgbench.training.stopping import Plateau
+from tdgbench.training.plateau import Plateau
 from tests.helpers.configs import config
 from tests.helpers.training import digest, ready_to_train
 

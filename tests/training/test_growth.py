@@ -8,9 +8,8 @@ from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole
-from tdgbench.training.budget import GrowthRule
-from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.growth import GrowthTest, footprints, split_in_halves, sums_of_halves
+from tdgbench.training.curriculum import Curriculum, Resolution
+from tdgbench.training.growth import GrowthRule, GrowthTest, footprints, split_in_halves, sums_of_halves
 from tdgbench.training.images import RGB, THERMAL
 from tests.helpers.footprints import drift, edge, two, view_of, views
 
@@ -84,7 +83,7 @@ def test_a_colour_model_is_judged_by_colour_images():
 
 
 def test_views_are_judged_at_the_resolution_of_the_iteration():
-    curriculum = Curriculum(steps=[(10, 2)])
+    curriculum = Curriculum([Resolution(10, 2)])
     curriculum.begin(1)
     assert judge(views(edge), curriculum=curriculum).grow[0]
     seen = []

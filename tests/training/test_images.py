@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from tdgbench.scenes import Camera, View
-from tdgbench.training.images import MODALITIES, RGB, THERMAL, ViewTensors
+from tdgbench.training.images import MODALITIES, QUANTISATION, RGB, THERMAL, ViewTensors, noise_of
 
 CPU = torch.device("cpu")
 
@@ -67,9 +67,9 @@ def view(side: int = 20) -> View:
 
 def test_a_view_has_one_tensor_which_goes_with_it():
     tensors, one, other = ViewTensors(), view(), view()
-    found = tensors.of(one, "thermal", torch.device("cpu"))
-    assert found is tensors.of(one, "thermal", torch.device("cpu"))
-    assert found is not tensors.of(other, "thermal", torch.device("cpu"))
+    found = tensors.tensor(one, "thermal", torch.device("cpu"))
+    assert found is tensors.tensor(one, "thermal", torch.device("cpu"))
+    assert found is not tensors.tensor(other, "thermal", torch.device("cpu"))
     assert np.shares_memory(found.numpy(), one.thermal)
     del one
     gc.collect()
@@ -78,6 +78,36 @@ def test_a_view_has_one_tensor_which_goes_with_it():
 
 def test_a_view_that_is_given_another_image_has_another_tensor():
     tensors, one = ViewTensors(), view()
-    tensors.of(one, "thermal", torch.device("cpu"))
+    tensors.tensor(one, "thermal", torch.device("cpu"))
     one.thermal = np.full((20, 20, 1), np.nan, np.float32)
-    assert tensors.of(one, "thermal", torch.device("cpu")).isnan().all()
+    assert tensors.tensor(one, "thermal", torch.device("cpu")).isnan().all()
+
+
+def noisy(sigma: float) -> np.ndarray:
+    """Return a ramp with a bright square, and noise."""
+    y, x = np.mgrid[:96, :128] / 128
+    image = 0.3 * x + 0.2 * y + 0.3 * ((x > 0.4) & (x < 0.6) & (y > 0.2) & (y < 0.5))
+    return (image + np.random.default_rng(0).normal(0, sigma, image.shape))[..., None].astype(np.float32)
+
+
+@pytest.mark.parametrize("sigma", [0.005, 0.02, 0.1])
+def test_noise_is_told_from_ramps_and_edges(sigma):
+    assert noise_of(noisy(sigma)) == pytest.approx(sigma, rel=0.05)
+
+
+def test_noise_is_at_least_that_of_8_bits():
+    assert noise_of(noisy(0.0)) == noise_of(np.zeros((2, 2, 1), np.float32)) == QUANTISATION
+
+
+def test_windows_with_a_masked_pixel_do_not_count():
+    image, valid = noisy(0.02), np.ones((96, 128), bool)
+    valid[:, ::2] = False
+    assert noise_of(image, valid) == QUANTISATION  # no whole window is left
+    valid[:, :64] = True
+    image[:, 64:] += np.random.default_rng(1).normal(0, 0.5, (96, 64, 1))
+    assert noise_of(image, valid) == pytest.approx(0.02, rel=0.1)
+
+
+def test_the_typical_noise_is_a_median(small_gray_scene):
+    views = [replace(small_gray_scene.train[0], load_thermal=lambda s=s: noisy(s)) for s in (0.01, 0.02, 0.5)]
+    assert THERMAL.typical_noise(views) == pytest.approx(0.02, rel=0.05)

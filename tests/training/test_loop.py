@@ -12,8 +12,8 @@ from tdgbench.training.budget import PlateauRule
 from tdgbench.training.loop import train
 from tdgbench.training.method import Step
 from tdgbench.training.part import NonFiniteError
+from tdgbench.training.plateau import Plateau
 from tdgbench.training.skips import Skips
-from tdgbench.training.stopping import Plateau
 from tests.helpers.training import digest, ready_to_train, trained
 from tests.helpers.waits import Reads
 

@@ -75,8 +75,8 @@ def test_gradients_of_an_iteration_are_forgotten_at_the_next_one():
 
 def test_a_network_slows_down_and_keeps_the_last_factor():
     networks = [Network(mlp(), rate, torch.optim.SGD) for rate in (0.1, 0.01)]
-    networks[0].scale_learning_rates(0.5)
-    networks[0].scale_learning_rates(0.1)
+    networks[0].set_slowdown(0.5)
+    networks[0].set_slowdown(0.1)
     for network in networks:
         take_steps(network, 1, 3)
     assert bytes_of(networks[0]) == bytes_of(networks[1])
@@ -97,7 +97,7 @@ def test_a_part_does_nothing_by_default():
     part = Part()
     before = copy.deepcopy(vars(part))
     part.begin(1)
-    part.scale_learning_rates(0.5)
+    part.set_slowdown(0.5)
     part.stop_growth(3)
     part.load_state_dict(part.state_dict())
     assert part.step(1) is part.not_finite() is None and part.has_recovered(1)

@@ -3,8 +3,9 @@ import copy
 import pytest
 from hydra.utils import instantiate
 
+from tdgbench.training.budget import SKIP_RULES
 from tdgbench.training.loop import train
-from tdgbench.training.skips import RULES, SWITCHES, Finished, Skip, Skips, account
+from tdgbench.training.skips import SWITCHES, Finished, Skip, Skips, account
 from tests.helpers.configs import config
 from tests.helpers.training import OFTEN, ready_to_train
 
@@ -73,7 +74,7 @@ def after(scene, name="3dgs", **allowed):
 
 def test_reasons_and_savings(small_gray_scene, small_scene):
     gray = after(small_gray_scene)
-    assert list(gray) == [*SWITCHES, *RULES]
+    assert list(gray) == [*SWITCHES, *SKIP_RULES]
     assert gray["gray"].taken and gray["gray"].saved == "2 of 3 channels"
     assert not after(small_scene)["gray"].taken
     assert gray["unseen"].taken and "% of the rows" in gray["unseen"].saved
@@ -147,6 +148,6 @@ def test_each_rule_can_be_switched_off_alone(small_gray_scene, name):
     assert found[name].reason == f"the budget has no rule for {name}"
     assert not found[name].allowed and not found[name].taken
     assert all(found[other].taken for other in {"growth", "pixels", "settling"} - {name})
-    assert (trainer.gaussians["thermal"].growth_test is None) == (name == "growth")
-    assert (trainer.context.curriculum("thermal").steps == []) == (name == "pixels")
+    assert (trainer.gaussians["thermal"].decide_growth is None) == (name == "growth")
+    assert (trainer.context.curriculum("thermal").resolutions == []) == (name == "pixels")
     assert (trainer.context.curriculum("thermal").held_out == []) == (name == "settling")

@@ -12,7 +12,7 @@ from tdgbench.training.images import THERMAL
 from tdgbench.training.loop import train
 from tdgbench.training.method import Method, Stage, Step
 from tdgbench.training.part import NonFiniteError
-from tdgbench.training.stopping import Plateau
+from tdgbench.training.plateau import Plateau
 from tdgbench.training.trainer import Trainer
 from tests.helpers.training import digest_of_all as digest
 from tests.helpers.training import ready_to_train
@@ -114,7 +114,7 @@ def test_a_state_of_another_stage_starts_the_first_one_again_where_it_does_not_f
     checkpoint.write_if_due(log)
     other = ready_to_train(small_gray_scene, "3dgs", ITERATIONS, *OFTEN)
     checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
-    assert checkpoint.resume(other).iterations == 0 and other.stage_number == other.iterations_before == 0
+    assert checkpoint.resume(other).iterations == 0 and other.stage_number == other.stage_start == 0
     assert checkpoint.notes == ["a checkpoint was not used: there is no stage 1"]
 
 
@@ -124,7 +124,7 @@ def test_a_failed_load_in_a_later_stage_restarts_the_first_one(small_gray_scene)
     trainer.at_stage(1)
     assert (trainer.stage_number, trainer.stage.name) == (1, "fine")
     trainer.restart()
-    assert (trainer.stage_number, trainer.iterations_before) == (0, 0) and digest(trainer) == fresh
+    assert (trainer.stage_number, trainer.stage_start) == (0, 0) and digest(trainer) == fresh
     for number in (-1, 2):
         with pytest.raises(ValueError, match=f"there is no stage {number}"):
             trainer.at_stage(number)
@@ -135,7 +135,7 @@ def test_a_rule_of_the_budget_ends_each_stage(small_gray_scene):
     trainer = two_stages(small_gray_scene, "budget.density.start=1000")
     trainer.stopping = Plateau(PlateauRule(epochs=1, patience=1, gain=0.9, after=0), views=5)
     log = train(trainer)
-    assert trainer.iterations_before == 10 and log.iterations == 10 + 40 and trainer.stopping is None
+    assert trainer.stage_start == 10 and log.iterations == 10 + 40 and trainer.stopping is None
 
 
 def test_a_gradient_of_a_network_that_is_not_finite_names_part_and_parameter(small_gray_scene, monkeypatch):

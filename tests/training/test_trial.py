@@ -54,7 +54,7 @@ def test_a_gain_must_exceed_its_error_and_the_least_one(data_root, monkeypatch):
         ([17, 18, 19], False),
     ):
         psnrs = iter([*with_rig, 20, 20, 20])
-        monkeypatch.setattr(trial, "psnr_of_error", lambda error, psnrs=psnrs: next(psnrs))
+        monkeypatch.setattr(Trainer, "psnr_of", lambda trainer, view, psnrs=psnrs: next(psnrs))
         assert try_rig(trainer.method, trainer.whole_context).pays is pays
 
 

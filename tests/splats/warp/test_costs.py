@@ -54,7 +54,7 @@ from tdgbench.splats.transfer import received
 from tdgbench.training.budget import PlateauRule
 from tdgbench.training.loop import train
 from tdgbench.training.part import NonFiniteError, Stopping
-from tdgbench.training.stopping import Plateau
+from tdgbench.training.plateau import Plateau
 from tests.helpers.masks import masked_scene
 from tests.helpers.scenes import small_dataset
 from tests.helpers.stand_in_gpu import NAME, Costs, install, steps_of

@@ -9,10 +9,10 @@ from torch.multiprocessing.reductions import StorageWeakRef
 from tdgbench.splats.gradients import PendingGradients
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.optimizer import BLACK
-from tdgbench.training import model as model_module
+from tdgbench.training import splat_model as model_module
 from tdgbench.training.losses import thermal_loss
-from tdgbench.training.model import SplatModel
 from tdgbench.training.skips import Skips
+from tdgbench.training.splat_model import SplatModel
 from tests.helpers.configs import config
 
 

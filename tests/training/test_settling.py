@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.training.budget import PlateauRule, SettlingRule
-from tdgbench.training.curriculum import Curriculum
+from tdgbench.training.curriculum import Curriculum, Resolution
 from tdgbench.training.images import MODALITIES
 from tdgbench.training.loop import train
 from tdgbench.training.part import Part
-from tdgbench.training.stopping import AllSettled, Plateau, Settling, hold_out
+from tdgbench.training.settling import AllSettled, Settling, SettlingRule
 from tests.helpers.masks import masked_scene
 from tests.helpers.training import digest, digest_of_all, ready_to_train, train_killed
 
@@ -29,30 +28,30 @@ class Watched(Part):
     def __init__(self):
         self.rate, self.stopped = 1.0, []
 
-    def scale_learning_rates(self, factor):
+    def set_slowdown(self, factor):
         self.rate = factor
 
     def stop_growth(self, iteration):
         self.stopped.append(iteration)
 
 
-class Scripted(Settling):
-    """Settling whose held-out PSNR follows a script: psnr(iteration, scale), a number or one for each view."""
+class Scripted:
+    """A settling training whose held-out PSNR follows a script: psnr(iteration, scale), of all views or of each."""
 
-    def __init__(self, psnr, iterations=1000, held_out=(1,), steps=(), rule=RULE):
-        self.curriculum = Curriculum(list(steps))
+    def __init__(self, psnr, iterations=1000, held_out=(0,), steps=(), rule=RULE):
+        self.curriculum = Curriculum([Resolution(*step) for step in steps])
         self.curriculum.held_out, self.curriculum.is_holding = list(held_out), bool(held_out)
         self.part, self.psnr, self.asked, self.iteration = Watched(), psnr, [], 0
-        super().__init__(rule, iterations, self.curriculum, {"thermal": self.part}, errors=lambda view: 1 / 0)
+        self.settling = Settling(rule, iterations, self.curriculum, {"thermal": self.part}, self.psnr_of)
 
-    def reached(self, iteration, loss=0.0):
+    def reached(self, iteration):
         self.iteration = iteration
         self.curriculum.begin(iteration)
-        return super().reached(iteration, loss)
+        return self.settling.reached(iteration, 0.0)
 
-    def _held_out_psnrs(self):
-        self.asked.append(self.iteration)
-        return list(np.atleast_1d(self.psnr(self.iteration, self.curriculum.scale)))
+    def psnr_of(self, view):
+        self.asked += [self.iteration] * (self.iteration not in self.asked)
+        return np.broadcast_to(self.psnr(self.iteration, self.curriculum.scale), len(self.curriculum.held_out))[view]
 
     @property
     def rate(self):
@@ -85,7 +84,7 @@ def test_windows_grow_with_the_checks():
 
 
 def test_the_mean_over_held_out_views_decides_as_for_test_views():
-    views = {"held_out": (1, 2, 3), "iterations": 300}
+    views = {"held_out": (0, 1, 2), "iterations": 300}
     assert end_of(Scripted(lambda i, scale: [i / 10, 20.0, 20.0 - i / 100], **views)) == 300
     assert end_of(Scripted(lambda i, scale: [20.0 - i, 20.0 + i / 100, 20.0 + i / 100], **views)) == 40 + 20
 
@@ -178,8 +177,8 @@ def test_rates_fall_log_linearly_after_settling():
 def test_parts_that_a_stage_takes_over_learn_at_their_full_rate_again():
     """The tail of the stage before slowed them."""
     part = Watched()
-    part.scale_learning_rates(0.05)
-    Settling(RULE, 100, Curriculum(), {"rig": part}, errors=lambda view: 1 / 0)
+    part.set_slowdown(0.05)
+    Settling(RULE, 100, Curriculum(), {"rig": part}, psnr_of=lambda view: 1 / 0)
     assert part.rate == 1.0
 
 
@@ -202,17 +201,17 @@ def test_a_restored_state_goes_on_alike(stop, psnrs):
     for i in range(1, stop):
         settling.reached(i)
     again.curriculum.load_state_dict(settling.curriculum.state_dict())
-    again.load_state_dict(settling.state_dict())
+    again.settling.load_state_dict(settling.settling.state_dict())
     assert again.stopped == settling.stopped and again.curriculum.is_holding == settling.curriculum.is_holding
     assert [settling.reached(i) for i in range(stop, 190)] == [again.reached(i) for i in range(stop, 190)]
     assert settling.rate == again.rate and settling.curriculum.iterations == again.curriculum.iterations
 
 
-def test_held_out_views_are_spread_and_few_views_are_all_trained_on(small_scene):
-    views = list(range(40))
-    assert hold_out(RULE, views) == [5, 15, 25, 35]  # type: ignore[arg-type]
-    assert hold_out(RULE, views[:3]) == []  # type: ignore[arg-type]
-    assert len(hold_out(RULE, list(range(400)))) == RULE.most  # type: ignore[arg-type]
+def test_held_out_views_are_spread_and_few_views_are_all_trained_on():
+    views = list(range(400))
+    assert RULE.held_out(views[:40]) == [5, 15, 25, 35]  # type: ignore[arg-type, comparison-overlap]
+    assert RULE.held_out(views[:3]) == []  # type: ignore[arg-type]
+    assert len(RULE.held_out(views)) == RULE.most  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["3dgs", "tdg"])
@@ -232,9 +231,8 @@ def test_each_model_of_msmg_ends_by_its_own_images(small_gray_scene, tmp_path, f
     def make():
         trainer = ready_to_train(small_gray_scene, "msmg", 60, CONF, "budget.density.stop=10")
         assert isinstance(trainer.stopping, AllSettled) and trainer.stopping.rules.keys() == {"rgb", "thermal"}
-        rule = trainer.stopping.rules[second]
-        settles = rule._settles
-        rule._settles = lambda iteration: settles(iteration) if iteration >= 20 else None
+        late = trainer.stopping.rules[second]
+        late.psnr_of = lambda view: 100.0 * min(15, *late.curriculum.iterations.values())
         return trainer
 
     def note(log):
@@ -250,25 +248,17 @@ def test_each_model_of_msmg_ends_by_its_own_images(small_gray_scene, tmp_path, f
     assert digest_of_all(killed) == digest_of_all(trainer)
 
 
-def test_a_model_settles_by_the_errors_of_its_modality(small_gray_scene):
-    trainer = ready_to_train(small_gray_scene, "msmg", 60, CONF)
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_model_settles_by_the_valid_pixels_of_its_modality(small_gray_scene, masked):
+    trainer = ready_to_train(masked_scene(small_gray_scene) if masked else small_gray_scene, "msmg", 60, CONF)
     assert isinstance(trainer.stopping, AllSettled)
     for name, rule in trainer.stopping.rules.items():
-        (view,) = rule.curriculum.held_out
-        image = trainer.method.render(trainer.context.frame(view), name).image.numpy()
-        error = image - MODALITIES[name].array(view)
-        assert rule._held_out_psnrs() == pytest.approx([-10 * np.log10(np.square(error).mean(dtype=np.float64))])
+        images, (view,) = MODALITIES[name], rule.curriculum.held_out
+        image, valid = trainer.method.render(trainer.context.frame(view), name).image.numpy(), images.valid(view)
+        squares = np.square(image - images.array(view), dtype=np.float64)
+        wanted = squares if valid is None else squares[valid]
+        assert rule.psnr_of(view) == pytest.approx(-10 * np.log10(wanted.mean()))
         assert set(rule.parts) & {"rgb", "thermal"} == {name}
-
-
-def test_held_out_views_are_scored_where_they_are_valid(small_gray_scene):
-    """A masked pixel has no part in the PSNR by which a training settles."""
-    trainer = ready_to_train(masked_scene(small_gray_scene), "3dgs", 60, CONF)
-    (view,) = trainer.context.curriculum("thermal").held_out
-    image = trainer.method.render(trainer.context.frame(view)).image.numpy()
-    squares = np.square(image - view.thermal)
-    wanted = squares if view.valid is None else squares[view.valid]
-    assert trainer.stopping._held_out_psnrs() == pytest.approx([-10 * np.log10(wanted.mean())])
 
 
 def test_switched_off_the_training_is_that_without_the_rule(small_gray_scene):
@@ -279,33 +269,3 @@ def test_switched_off_the_training_is_that_without_the_rule(small_gray_scene):
         train(trainer)
         digests.append(digest(trainer))
     assert digests[0] == digests[1]
-
-
-def stops_at(losses, **rule):
-    plateau = Plateau(PlateauRule(**{"epochs": 1, "patience": 2, "gain": 0.01, "after": 0, **rule}), views=5)
-    return next((i for i, loss in enumerate(losses, start=1) if plateau.reached(i, loss)), None)
-
-
-def test_losses_of_a_gpu_decide_as_numbers_do():
-    losses = torch.rand(60, generator=torch.Generator().manual_seed(0)) + 1
-    rule = PlateauRule(epochs=1, patience=9, gain=0.0, after=3)
-    of_numbers, of_tensors = (Plateau(rule, views=5) for _ in range(2))
-    for i, loss in enumerate(losses, start=1):
-        assert of_tensors.reached(i, loss.double()) == of_numbers.reached(i, loss.item())
-        assert of_tensors.state_dict() == of_numbers.state_dict()
-    assert type(of_tensors.state_dict()["_sum"]) is float
-
-
-def test_a_falling_loss_goes_on():
-    assert stops_at([0.99**i for i in range(200)]) is None
-
-
-def test_a_flat_loss_stops_after_its_patience():
-    assert stops_at([1.0] * 100) == 15  # one window to compare with, two that are no better
-    assert stops_at([1.0] * 100, patience=3) == 20
-    assert stops_at([1.0] * 100, after=30) == 45
-    assert stops_at([1.0] * 100, epochs=2) == 30
-
-
-def test_one_better_window_starts_the_patience_anew():
-    assert stops_at([1.0] * 10 + [0.5] * 5 + [0.5] * 100) == 25

@@ -21,9 +21,9 @@ from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
-from tdgbench.training.growth import GrowthTest
 from tdgbench.training.part import EmptyModelError, Part, Report, State
 from tdgbench.training.rig import Rig
+from tdgbench.training.rule import DecideGrowth
 from tdgbench.training.skips import Skips, Work
 
 
@@ -32,14 +32,14 @@ class ModelOptions:
     """Options of one model beyond the budget.
 
     name: for messages. rig: of the camera whose images it is trained on; None: the poses are that camera's.
-    growth_test: what decides which Gaussians grow; None: 3DGS's rule. background: (C,) behind the Gaussians; None:
-    black. learning_rates: of fields, in the place of the budget's; see `Adam`. position_unit: world units, of the
-    means' learning rate; None: the scene's extent.
+    decide_growth: decides which Gaussians grow; None: density control does. background: (C,) behind the Gaussians;
+    None: black. learning_rates: of fields, in the place of the budget's; see `Adam`. position_unit: world units, of
+    the means' learning rate; None: the scene's extent.
     """
 
     name: str = "thermal"
     rig: Rig | None = None
-    growth_test: GrowthTest | None = None
+    decide_growth: DecideGrowth | None = None
     background: torch.Tensor | None = None
     learning_rates: Mapping[str, float | str] = field(default_factory=dict)
     position_unit: float | None = None
@@ -70,7 +70,7 @@ class SplatModel(Part):
         self.density = budget.density.control(extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
-        self.growth_test, self.background = options.growth_test, options.background
+        self.decide_growth, self.background = options.decide_growth, options.background
         self.blending = replace(AS_3DGS, end_early=self.skips.saturated.allowed)
         self._generator = generator
         self._iteration = 0
@@ -173,7 +173,7 @@ class SplatModel(Part):
         rules = self.density.rules
         self.density.rules = replace(rules, stop=min(rules.stop, iteration))
 
-    def scale_learning_rates(self, factor: float) -> None:
+    def set_slowdown(self, factor: float) -> None:
         self.optimizer.slowdown = factor
 
     def step(self, iteration: int) -> Callable[[], str | None] | str | None:
@@ -187,9 +187,9 @@ class SplatModel(Part):
         was_rendered, decision = bool(views), None
         if self.density.is_round(iteration):
             self._forget(views)  # the round needs their memory
-            if self.growth_test is not None:
+            if self.decide_growth is not None:
                 number = iteration // self.density.rules.every
-                decision = self.growth_test.decide(self.gaussians, self.degree, number)
+                decision = self.decide_growth(self.gaussians, self.degree, number)
         change = self.density.update(self.optimizer, iteration, self._generator, decision)
         self.work.add_change(change)
         bad = None

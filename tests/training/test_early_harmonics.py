@@ -8,8 +8,7 @@ from hydra.utils import instantiate
 
 from tdgbench.scenes import Camera
 from tdgbench.scenes.camera import pose_at
-from tdgbench.training.budget import HarmonicsRule
-from tdgbench.training.harmonics import are_learned_soon, viewing_angle
+from tdgbench.training.early_harmonics import HarmonicsRule, viewing_angle
 from tdgbench.training.images import THERMAL
 from tests.helpers.configs import config
 from tests.helpers.training import ready_to_train
@@ -37,11 +36,10 @@ def test_the_angle_is_the_spread_of_the_directions():
     assert viewing_angle(middle, cameras_at([0])) == viewing_angle(middle + 99, cameras_at([0, 5])) == np.inf
 
 
-def test_noise_and_angle_decide(small_gray_scene):
-    views, points = small_gray_scene.train, small_gray_scene.points.points
-    assert are_learned_soon(HarmonicsRule(500, 0.1, 1.0, 180.0), views, THERMAL, points)
-    assert not are_learned_soon(HarmonicsRule(500, 0.1, 1e-4, 180.0), views, THERMAL, points)
-    assert not are_learned_soon(HarmonicsRule(500, 0.1, 1.0, 1.0), views, THERMAL, points)
+@pytest.mark.parametrize(("noise", "angle", "applies"), [(1.0, 180.0, True), (1e-4, 180.0, False), (1.0, 1.0, False)])
+def test_noise_and_angle_decide(small_gray_scene, noise, angle, applies):
+    rule = HarmonicsRule(every=500, gain=0.1, most_noise=noise, most_angle=angle)
+    assert rule.applies(small_gray_scene, THERMAL) == applies
 
 
 def noisy(view, sigma):

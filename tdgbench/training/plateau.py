@@ -1,0 +1,82 @@
+"""The rule for a plateau: end a training when its loss no longer falls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
+
+from tdgbench.training.part import State, Stopping
+from tdgbench.training.rule import Rule
+from tdgbench.training.skips import Finished, Skip
+
+if TYPE_CHECKING:  # it asks the rule
+    from tdgbench.training.trainer import Trainer
+
+
+@dataclass(frozen=True)
+class PlateauRule(Rule):
+    """End a training after `patience` windows in a row whose mean loss is not below the best one by `gain`.
+
+    A window is `epochs` times all training views, so that every view has equal weight in it.
+    """
+
+    ends_training = True
+
+    epochs: PositiveInt
+    patience: PositiveInt  # windows
+    gain: NonNegativeFloat  # relative
+    after: NonNegativeInt  # earliest iteration
+
+    def stopping(self, trainer: Trainer) -> Stopping:
+        return Plateau(self, len(trainer.context.scene.train))
+
+    def account(self, skip: Skip, training: Finished) -> None:
+        is_asked = not any(curriculum.settled_at for curriculum, _ in training.curricula)
+        if not is_asked:
+            reason = "the rule for settling decided"
+        elif training.remaining == 0:
+            reason = "the loss went on falling"
+        else:
+            reason = f"the loss no longer fell by {self.gain:.2%} a window"
+        skip.decide(is_asked and training.remaining > 0, reason, training.left_out)
+
+
+class Plateau(Stopping):
+    """Detects a plateau of the loss by a rule. On a GPU, the device adds the losses up; the host reads their sums."""
+
+    reads_loss = False
+
+    def __init__(self, rule: PlateauRule, views: int) -> None:
+        """views: number of training views."""
+        self.rule, self.views = rule, views
+        self._sum: float | torch.Tensor = 0.0
+        self._count = 0
+        self._best, self._without = float("inf"), 0
+        self._reached = False
+
+    def state_dict(self) -> State:
+        names = ("_count", "_best", "_without", "_reached")
+        return {"_sum": float(self._sum), **{name: getattr(self, name) for name in names}}
+
+    def load_state_dict(self, saved: State) -> None:
+        vars(self).update(saved)
+
+    def reached(self, iteration: int, loss: float | torch.Tensor) -> bool:
+        if self._reached:
+            return True
+        if iteration <= self.rule.after:
+            return False
+        self._sum, self._count = self._sum + loss, self._count + 1
+        if self._count < self.rule.epochs * self.views:
+            return False
+        mean, self._sum, self._count = float(self._sum) / self._count, 0.0, 0
+        if mean < self._best * (1 - self.rule.gain):
+            self._without = 0
+        else:
+            self._without += 1
+        self._best = min(self._best, mean)
+        self._reached = self._without >= self.rule.patience
+        return self._reached

@@ -1,0 +1,76 @@
+"""The rules of a budget: what a training decides from its scene. Each is one file, and one field of `Budget`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, ClassVar
+
+from torch import Tensor
+
+from tdgbench.scenes import Camera, Scene, View
+from tdgbench.splats import Gaussians
+from tdgbench.splats.density import GrowthDecision
+from tdgbench.splats.view import Pinhole
+from tdgbench.training.curriculum import Curriculum, Resolution
+from tdgbench.training.images import Modality
+from tdgbench.training.part import Stopping
+from tdgbench.training.skips import Finished, Skip
+
+if TYPE_CHECKING:  # they ask the rules
+    from tdgbench.training.budget import Budget
+    from tdgbench.training.trainer import Trainer
+
+DecideGrowth = Callable[[Gaussians, int, int], GrowthDecision]  # of Gaussians, the SH degree in use, the round's number
+
+
+class Rule:
+    """A rule of a budget: a frozen dataclass of options, which are those of its YAML. It is off where it is null.
+
+    A training asks every rule that is on through the methods below; a rule overrides those that it answers. A finished
+    cell is rendered without rules, from what its training left.
+    """
+
+    is_skip: ClassVar[bool] = True  # records list it among the skips, as `account` says
+    ends_training: ClassVar[bool] = False  # a training may end before its last iteration
+    watches_modalities: ClassVar[bool] = False  # models of each modality have a curriculum, else those of a stage
+
+    def held_out(self, views: list[View]) -> list[View]:
+        """Return training views that a training does not train on at first."""
+        return []
+
+    def resolutions(self, views: list[View], images: Modality, gaussians: int, iterations: int) -> list[Resolution]:
+        """Return the resolutions below the full one that a training begins with, for models of a modality.
+
+        views: training views. gaussians: their number at the start. iterations: of the stage.
+        """
+        return []
+
+    def adaptation(self, scene: Scene, images: Modality) -> Callable[[Budget], Budget]:
+        """Return the function that changes the budget of models of a modality, or returns it as it is."""
+        return lambda budget: budget
+
+    def growth(
+        self,
+        views: list[View],
+        images: Modality,
+        curriculum: Curriculum,
+        backend: str,
+        background: Tensor | None,
+        camera_of: Callable[[Camera], Camera],
+    ) -> DecideGrowth | None:
+        """Return the function that decides which Gaussians of a model grow; None: density control's threshold does.
+
+        views: training views. images, curriculum, background (C,): of the model; None: black. camera_of: maps a view's
+        camera to the one that took its image.
+        """
+        return None
+
+    def stopping(self, trainer: Trainer) -> Stopping | None:
+        """Return what may end the trainer's current stage early. The first rule that returns one decides."""
+        return None
+
+    def compile_kernels(self, gaussians: Gaussians, camera: Pinhole, backend: str) -> None:
+        """Run the kernels that the rule alone needs, so that they are compiled before the clock starts."""
+
+    def account(self, skip: Skip, training: Finished) -> None:
+        """Decide the rule's skip of a finished training: whether work was left out, why, and how much."""
