@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from tdgbench.scoring.metrics.psnr import psnr
-from tdgbench.scoring.metrics.psnr_affine import best_response, psnr_affine
+from tdgbench.scoring.metrics.psnr_fitted import best_gain_and_offset, psnr_affine
 from tdgbench.scoring.metrics.ssim import ssim
 
 matplotlib.use("Agg")
@@ -61,7 +61,7 @@ def draw() -> None:
     panels("ssim.png", {"ground truth": truth} | titles)
 
     drifted = with_psnr(0.8 * truth + 0.2, noise, 38)
-    fitted = best_response(drifted, truth).of(drifted)
+    fitted = best_gain_and_offset(drifted, truth).applied_to(drifted)
     panels(
         "psnr_affine.png",
         {

@@ -1,7 +1,4 @@
-"""Scores of rendered views in the conventions of the published tables and of the literature.
-
-A metric is one file of `metrics/`: its function and its description.
-"""
+"""Scores of rendered views in the conventions of the published tables and of the literature."""
 
 from tdgbench.scoring.registry import METRICS, TRAIN_METRICS
 from tdgbench.scoring.scored_view import RenderedImages, to_8bit

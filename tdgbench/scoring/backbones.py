@@ -6,6 +6,7 @@ import socket
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from torch import Tensor, nn
 from tdgbench.files import opened, sha256_of
 from tdgbench.scoring.scored_view import NotApplicableError
 
+Net = Literal["vgg", "alex", "squeeze"]
 DOWNLOAD_TIMEOUT_SECONDS = 20
 _failed_downloads: dict[str, str] = {}
 
@@ -33,7 +35,7 @@ class TrunkSpec:
 
 
 HUB = "https://download.pytorch.org/models/"
-SPECS = {
+SPECS: dict[Net, TrunkSpec] = {
     "vgg": TrunkSpec("vgg16-397923af.pth", (4, 9, 16, 23, 30), 16),
     "alex": TrunkSpec("alexnet-owt-7be5be79.pth", (2, 5, 8, 10, 12), 31),
     "squeeze": TrunkSpec("squeezenet1_1-b8a52dc0.pth", (2, 5, 8, 10, 11, 12, 13), 17),
@@ -54,7 +56,7 @@ class Fire(nn.Module):
         return torch.cat([self.expand1x1(x).relu_(), self.expand3x3(x).relu_()], dim=1)
 
 
-def make_trunk(net: str) -> nn.Sequential:
+def make_trunk(net: Net) -> nn.Sequential:
     """Return the `features` of torchvision's vgg16, alexnet or squeezenet1_1, without weights."""
     if net == "vgg":
         layers: list[nn.Module] = []
@@ -81,7 +83,7 @@ def make_trunk(net: str) -> nn.Sequential:
     )  # fmt: skip
 
 
-def trunk_weights(net: str, file: str | None, download: bool) -> dict[str, Tensor]:
+def trunk_weights(net: Net, file: str | None, download: bool) -> dict[str, Tensor]:
     """Return the trunk's state dict (`features.*` of torchvision's names, prefix removed).
 
     From `file` (pth or npz), else torch's cache, else downloaded into it. Raises BackboneUnavailableError with the
@@ -107,7 +109,7 @@ def trunk_weights(net: str, file: str | None, download: bool) -> dict[str, Tenso
     return {k: features[k].float() for k in expected}
 
 
-def own_weights(net: str, file: str | None) -> str:
+def own_weights(net: Net, file: str | None) -> str:
     """Return SHA-256 of a file of one's own; empty for torchvision's, whose name states its hash, and for none."""
     if file is None or not Path(file).is_file():  # without it there are no scores
         return ""
@@ -133,7 +135,7 @@ def _read(path: Path) -> dict[str, Tensor]:
         raise BackboneUnavailableError(f"{path} cannot be read as backbone weights: {error}") from error
 
 
-def _download(net: str, spec: TrunkSpec, cached: Path) -> dict[str, Tensor]:
+def _download(net: Net, spec: TrunkSpec, cached: Path) -> dict[str, Tensor]:
     """Download into torch's cache; of processes that ask at the same time, one does, and the others wait for it."""
     if net in _failed_downloads:
         raise BackboneUnavailableError(_failed_downloads[net])

@@ -15,10 +15,9 @@ import torch
 from torch import Tensor, nn
 
 from tdgbench.files import opened
-from tdgbench.scoring.backbones import SPECS, BackboneUnavailableError, make_trunk, trunk_weights
+from tdgbench.scoring.backbones import SPECS, BackboneUnavailableError, Net, make_trunk, trunk_weights
 from tdgbench.scoring.scored_view import NotApplicableError
 
-Net = Literal["vgg", "alex", "squeeze"]
 Range = Literal["unit", "signed"]
 ROWS = 64  # of features that are compared at once
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)

@@ -75,7 +75,7 @@ class Measure:
 
 @dataclass(frozen=True, kw_only=True)
 class Metric(Measure, ABC):
-    """A score of a rendered view. A module of `metrics/` names its metric `METRIC`."""
+    """A score of a rendered view. Those that modules of `metrics/` define are scored."""
 
     order: int = 1000  # place among the columns of views.csv; equal orders stand by name
     needs: str = ""  # what a scene or method must have to be scored

@@ -1,4 +1,4 @@
-"""The metrics: one per module of `metrics/`, for every modality that it scores."""
+"""The metrics: every `Metric` that a module of `metrics/` defines, for every modality that it scores."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tdgbench.scoring.metric import ImageMetric, Metric
 
 
 def find_metrics() -> dict[str, Metric]:
-    """Return the `METRIC` of each module of `metrics/` by name, by `order`. Raises TypeError for a module without one.
+    """Return the metrics of all modules of `metrics/` by name, by `order`. Raises TypeError for a module without one.
 
     One `of_every_modality` is there once more for each modality but thermal.
 
@@ -20,12 +20,13 @@ def find_metrics() -> dict[str, Metric]:
     """
     found: list[Metric] = []
     for module in pkgutil.iter_modules(metrics.__path__):
-        metric = getattr(importlib.import_module(f"{metrics.__name__}.{module.name}"), "METRIC", None)
-        if not isinstance(metric, Metric):
-            raise TypeError(f"{metrics.__name__}.{module.name} defines no METRIC")
-        found.append(metric)
-        if isinstance(metric, ImageMetric) and metric.of_every_modality:
-            found += [metric.of_modality(modality) for modality in OTHERS]
+        content = vars(importlib.import_module(f"{metrics.__name__}.{module.name}")).values()
+        defined = [metric for metric in content if isinstance(metric, Metric)]
+        if not defined:
+            raise TypeError(f"{metrics.__name__}.{module.name} defines no metric")
+        found += defined
+    several = [metric for metric in found if isinstance(metric, ImageMetric) and metric.of_every_modality]
+    found += [metric.of_modality(modality) for metric in several for modality in OTHERS]
     return {metric.name: metric for metric in sorted(found, key=lambda metric: (metric.order, metric.name))}
 
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
+import torch
 from pydantic import AfterValidator
 
 from tdgbench.scenes import Scene, View
-from tdgbench.scoring.at_once import map_views
-from tdgbench.scoring.backbones import BackboneUnavailableError
-from tdgbench.scoring.lpips import LPIPS, Net, Range
+from tdgbench.scoring.backbones import BackboneUnavailableError, Net
+from tdgbench.scoring.lpips import LPIPS, Range
 from tdgbench.scoring.metric import Metric
 from tdgbench.scoring.registry import METRICS, TRAIN_METRICS
 from tdgbench.scoring.scored_view import (
@@ -25,7 +27,12 @@ from tdgbench.scoring.scored_view import (
     RenderedImages,
     ScoredView,
 )
+from tdgbench.splats.cpu import pool
 
+PIXELS_AT_ONCE = 8 * 640 * 480  # LPIPS with vgg takes up to 1 kB a pixel: 300 MB for a view of 640×480, 2.4 GB for 8
+
+T = TypeVar("T")
+R = TypeVar("R")
 Scores = dict[str, float | None]  # by metric; None: it does not apply
 
 
@@ -49,7 +56,7 @@ class Scorer:
     """Scores 8-bit renders against 8-bit targets, as published tables do.
 
     ssim_border and lpips_range make the convention: `3dgs` (zero, unit) or `standard` (valid, signed). Threads score a
-    view each (`at_once`); the scores do not depend on their number.
+    view each; the scores do not depend on their number.
     """
 
     def __init__(
@@ -134,3 +141,26 @@ def mean_scores(views: Mapping[str, Scores], metrics: Iterable[str] = METRICS) -
         present = [v for v in values if v is not None]
         means[metric] = float(np.mean(present)) if values and len(present) == len(values) else None
     return means
+
+
+def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> list[R]:
+    """Apply a function to views in parallel and return the results in their order.
+
+    pixels: of the largest view; it limits the views in memory. torch uses one thread per view. An exception of the
+    function is raised.
+    """
+    in_memory = max(1, PIXELS_AT_ONCE // max(1, pixels))
+    workers = max(1, min(in_memory, pool.get_threads(), len(views)))
+    with one_torch_thread(), ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as executor:
+        return list(executor.map(function, views))
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Return a context in which torch computes on the calling thread alone."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from tdgbench.scoring.lpips import LPIPS
-from tdgbench.scoring.metrics.channel_psnr import channel_psnr
-from tdgbench.scoring.metrics.psnr import psnr
+from tdgbench.scoring.metrics.psnr import channel_psnr, psnr
 from tdgbench.scoring.metrics.ssim import ssim
 from tests.parity.originals import original
 

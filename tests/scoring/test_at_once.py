@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.scoring.at_once import PIXELS_AT_ONCE, map_views, one_torch_thread
+from tdgbench.scoring.scorer import PIXELS_AT_ONCE, map_views, one_torch_thread
 from tdgbench.splats.cpu import pool
 
 

@@ -9,7 +9,7 @@ from skimage.metrics import structural_similarity
 
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scoring import METRICS, RenderedImages, to_8bit
-from tdgbench.scoring.metrics.depth_inconsistency import depth_inconsistency
+from tdgbench.scoring.metrics.depth import depth_inconsistency
 from tdgbench.scoring.metrics.ssim import ssim
 from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
 from tests.helpers.configs import config

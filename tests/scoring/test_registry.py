@@ -16,7 +16,7 @@ def test_a_file_is_a_metric(tmp_path, monkeypatch):
     (tmp_path / "made_up_bias.py").write_text(MADE_UP)
     assert list(find_metrics()) == [*METRICS, "bias"]
     (tmp_path / "made_up_empty.py").write_text("")
-    with pytest.raises(TypeError, match="made_up_empty defines no METRIC"):
+    with pytest.raises(TypeError, match="made_up_empty defines no metric"):
         find_metrics()
 
 

@@ -1,1 +1,1 @@
-"""One metric per file: its function, and its description `METRIC`. New files need no registration."""
+"""Metrics by what they measure: functions, and a description of each. New files need no registration."""

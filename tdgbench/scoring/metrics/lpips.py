@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tdgbench.scoring.metric import LPIPS_OPTIONS, ImageMetric
 
-METRIC = ImageMetric(
+LPIPS = ImageMetric(
     name="lpips",
     label="LPIPS",
     meaning="learned perceptual distance",

@@ -58,7 +58,7 @@ def _blur(image: np.ndarray) -> np.ndarray:
     return correlate1d(rows, weights, axis=1, mode="constant")
 
 
-METRIC = ImageMetric(
+SSIM = ImageMetric(
     name="ssim",
     label="SSIM",
     meaning="structural similarity",

@@ -3,7 +3,7 @@ import pytest
 from scipy.stats import rankdata
 
 from tdgbench.scoring import METRICS, RenderedImages
-from tdgbench.scoring.metrics.guess_correlation import guess_correlation
+from tdgbench.scoring.metrics.seen_pixels import guess_correlation
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
 
 BAD, GOOD = 0.1, 0.02  # errors

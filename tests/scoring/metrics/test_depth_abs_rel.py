@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.scoring.metrics.depth_abs_rel import depth_abs_rel
+from tdgbench.scoring.metrics.depth import depth_abs_rel
 
 
 def test_mean_relative_error():

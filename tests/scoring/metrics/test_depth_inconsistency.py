@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import Camera
-from tdgbench.scoring.metrics.depth_inconsistency import depth_inconsistency
+from tdgbench.scoring.metrics.depth import depth_inconsistency
 
 
 def plane_depth(camera: Camera, distance: float) -> np.ndarray:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tdgbench.scoring.metrics.floaters import floater_share
+from tdgbench.scoring.metrics.depth import floater_share
 
 
 def test_only_what_is_clearly_in_front_floats():

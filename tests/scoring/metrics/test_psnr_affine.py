@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scoring.metrics.psnr import psnr
-from tdgbench.scoring.metrics.psnr_affine import best_gain_and_offset, psnr_affine
-from tdgbench.scoring.metrics.psnr_right_half import psnr_right_half
+from tdgbench.scoring.metrics.psnr_fitted import best_gain_and_offset, psnr_affine, psnr_right_half
 from tdgbench.scoring.scored_view import NotApplicableError
 from tests.scoring.images import images
 
@@ -43,7 +42,9 @@ def test_the_left_half_alone_decides():
     changed = target.copy()
     changed[:, :15] = 0.5 * changed[:, :15] + 0.2
     response = best_gain_and_offset(image[:, :15], changed[:, :15])
-    assert psnr_right_half(image, changed) == pytest.approx(psnr(response.of(image[:, 15:]), target[:, 15:]), abs=1e-6)
+    assert psnr_right_half(image, changed) == pytest.approx(
+        psnr(response.applied_to(image[:, 15:]), target[:, 15:]), abs=1e-6
+    )
     assert psnr_right_half(image, changed) < psnr_right_half(image, target)
 
 
@@ -53,7 +54,7 @@ def test_masked_pixels_count_nothing():
     spoilt = np.where(valid[..., None], image, np.float32(np.nan))
     left, right = valid[:, :15], valid[:, 15:]
     response = best_gain_and_offset(image[:, :15][left], target[:, :15][left])
-    expected = psnr(response.of(image[:, 15:][right]), target[:, 15:][right])
+    expected = psnr(response.applied_to(image[:, 15:][right]), target[:, 15:][right])
     assert psnr_right_half(spoilt, target, valid) == pytest.approx(expected, abs=1e-6)
 
 

@@ -5,7 +5,7 @@ import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
 from tdgbench.scoring import RenderedImages
-from tdgbench.scoring.metrics.psnr_true import psnr_true
+from tdgbench.scoring.metrics.temperature import psnr_true
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
 
 

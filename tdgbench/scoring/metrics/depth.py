@@ -1,4 +1,4 @@
-"""Depth against the depth of another view, where the true depth is unknown."""
+"""Depth against the truth, or against the depth of another view where the truth is unknown."""
 
 from __future__ import annotations
 
@@ -8,7 +8,26 @@ from tdgbench.scenes import Camera, View
 from tdgbench.scoring.metric import ViewMetric
 from tdgbench.scoring.scored_view import NotApplicableError, ScoredView
 
+FLOATER = 0.1  # rendered nearer than the true surface by more than this share of its depth
 MIN_OVERLAP = 0.05  # share of a view's pixels that must fall into the other view
+
+
+def depth_abs_rel(depth: np.ndarray, truth: np.ndarray) -> float:
+    """Return the mean of |z − z_true| / z_true over equally shaped depths.
+
+    >>> round(depth_abs_rel(np.array([[1.1, 2.0]]), np.array([[1.0, 2.0]])), 6)
+    0.05
+    """
+    return float((np.abs(depth.astype(np.float64) - truth) / truth).mean())
+
+
+def floater_share(depth: np.ndarray, truth: np.ndarray) -> float:
+    """Return the share of the pixels whose rendered depth lies clearly in front of the true surface.
+
+    >>> floater_share(np.array([[0.8, 0.95]]), np.array([[1.0, 1.0]]))
+    0.5
+    """
+    return float((depth < (1 - FLOATER) * truth).mean())
 
 
 def depth_inconsistency(
@@ -50,7 +69,24 @@ def _known(depth: np.ndarray, view: View) -> np.ndarray:
     return depth if view.valid is None else np.where(view.valid, depth, np.float32(0))
 
 
-METRIC = ViewMetric(
+DEPTH_ABS_REL = ViewMetric(
+    name="depth_abs_rel",
+    label="depth error",
+    meaning="mean of |z − true z| / true z",
+    order=90,
+    needs="true depth",
+    of_view=lambda shown: depth_abs_rel(*shown.depths()),
+)
+FLOATERS = ViewMetric(
+    name="floaters",
+    label="floaters",
+    meaning="share of pixels more than 10 % nearer than the true surface",
+    order=100,
+    limits=(0.0, 1.0),
+    needs="true depth",
+    of_view=lambda shown: floater_share(*shown.depths()),
+)
+DEPTH_INCONSISTENCY = ViewMetric(
     name="depth_inconsistency",
     label="depth inconsistency",
     meaning="median relative difference of the depths of neighbouring test views",

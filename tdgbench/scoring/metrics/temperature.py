@@ -1,4 +1,4 @@
-"""PSNR to the true temperatures of built-in scenes."""
+"""Errors of temperatures in °C, and PSNR to the true temperatures of built-in scenes."""
 
 from __future__ import annotations
 
@@ -17,6 +17,30 @@ MIN_MSE = 10 ** (-MAX_PSNR / 10)
 SMALLEST = 1e-6  # °C
 
 
+def differences(shown: ScoredView) -> np.ndarray:
+    """Return differences (N, 1) or (H, W, 1) of 8-bit pictures in °C, where gray values are linear in temperature."""
+    if shown.scene is not None and shown.scene.raw_count_range is not None:
+        raise NotApplicableError("raw counts have no °C")
+    if shown.scene is None or shown.scene.temperature is None:
+        raise NotApplicableError("the scene has no temperature range (temperature.json)")
+    if shown.scene.channels != 1:
+        raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
+    image, target = shown.pair("thermal").pixels
+    span = shown.scene.temperature.max - shown.scene.temperature.min
+    return np.asarray((image - target).astype(np.float64) * span)
+
+
+def mae_degC(shown: ScoredView) -> float:
+    """Return the mean absolute difference in °C."""
+    return float(np.abs(differences(shown)).mean())
+
+
+def mae_degC_without_offset(shown: ScoredView) -> float:
+    """Return the mean absolute difference in °C from the median difference, the offset that makes it least."""
+    values = differences(shown)
+    return float(np.abs(values - np.median(values)).mean())
+
+
 def psnr_true(shown: ScoredView) -> float:
     """Return the PSNR (dB) of a view's render in °C over valid pixels; the peak is the span of all test views' truth.
 
@@ -29,9 +53,9 @@ def psnr_true(shown: ScoredView) -> float:
     if any(view.load_true_temperature is None for view in scene.test):
         raise NotApplicableError("the scene has no true temperatures, or its images are not linear in temperature")
     valid = shown.valid
-    if METRIC.name not in shown.common:  # threads that begin at once each find it out
-        shown.common[METRIC.name] = _scale(scene.test, shown.renders)
-    scale: Scale = shown.common[METRIC.name]
+    if PSNR_TRUE.name not in shown.common:  # threads that begin at once each find it out
+        shown.common[PSNR_TRUE.name] = _scale(scene.test, shown.renders)
+    scale: Scale = shown.common[PSNR_TRUE.name]
     x, y = _pair(shown.view, shown.rendered, valid)
     mse = float(np.mean(np.square(scale.gain * x + scale.offset - y))) / scale.span**2
     return -10 * float(np.log10(max(mse, MIN_MSE)))
@@ -74,7 +98,28 @@ def _line(sums: np.ndarray) -> tuple[float, float]:
     return gain, (of_y - gain * of_x) / count
 
 
-METRIC = ViewMetric(
+MAE_DEGC = ViewMetric(
+    name="mae_degC",
+    label="temperature error",
+    meaning="mean absolute error of the temperatures",
+    order=80,
+    unit="°C",
+    needs="a temperature range, gray images",
+    verified_to=1e-6,
+    of_view=mae_degC,
+)
+MAE_DEGC_WITHOUT_OFFSET = ViewMetric(
+    name="mae_degC_without_offset",
+    label="temperature error without offset",
+    meaning="mean absolute error of the temperatures after the offset of each test view that makes it least",
+    order=82,
+    unit="°C",
+    fits_to_test_view="offset",
+    needs="a temperature range, gray images",
+    verified_to=1e-6,
+    of_view=mae_degC_without_offset,
+)
+PSNR_TRUE = ViewMetric(
     name="psnr_true",
     label="PSNR to true temperatures",
     meaning="PSNR to the true temperatures after one gain and one offset for all test views",
