@@ -47,7 +47,8 @@ class Camera:
 
     def holds(self, pixels: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return which projected points, at pixels (N, 2) and depths z (N,), lie in the image, (N,) bool."""
-        return (z > 0) & (pixels >= 0).all(axis=1) & (pixels < [self.width, self.height]).all(axis=1)
+        x, y = pixels.T
+        return (z > 0) & (x >= 0) & (y >= 0) & (x < self.width) & (y < self.height)
 
 
 def pose_at(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -45,6 +45,7 @@ class PointCloud:
     points: np.ndarray  # (N, 3) float64, world
     colors: np.ndarray  # (N, 3) float32 in [0, 1]
     tracks: Tracks | None = None  # None: not known
+    ids: np.ndarray | None = None  # (N,) uint64, ascending, in the COLMAP model
 
 
 @dataclass(frozen=True)

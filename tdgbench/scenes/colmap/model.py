@@ -23,7 +23,6 @@ from tdgbench.scenes.validate import MAX_COORDINATE, check_camera
 FORMATS = {".bin": binary, ".txt": text}  # in pycolmap's order of preference
 NEEDED = ("cameras", "images", "points3D")
 UNIT_TOLERANCE = 1e-3  # of a quaternion's norm; COLMAP writes 1 to the last digits
-ROUNDING = 1e-12  # of that norm
 
 
 @dataclass(frozen=True)
@@ -67,16 +66,19 @@ def model_files(folder: Path) -> list[Path]:
     return [folder / (name + suffix) for name in NEEDED]
 
 
-def image_keys(folder: Path) -> list[str]:
-    """Return the keys of a model's images. Raises SceneError."""
-    _, images_file, _ = model_files(folder)
-    return [key(image.name) for image in FORMATS[images_file.suffix].read_images(images_file)]
+def read_images(folder: Path) -> list[ImageEntry]:
+    """Read the rows of a model's images file. Raises SceneError."""
+    _, path, _ = model_files(folder)
+    return FORMATS[path.suffix].read_images(path)
 
 
-def read_model(folder: Path, modality: tuple[str, str] | None = None) -> ReadModel:
+def read_model(
+    folder: Path, modality: tuple[str, str] | None = None, images: list[ImageEntry] | None = None
+) -> ReadModel:
     """Read and check a model, binary or text. Raises SceneError naming the file and the remedy.
 
-    modality: folder of the wanted images and of others in the model's names, where one model has both.
+    modality: folder of the wanted images and of others in the model's names, where one model has both. images: its
+    rows, if they have been read.
     """
     cameras_file, images_file, points_file = model_files(folder)
     reader = FORMATS[cameras_file.suffix]
@@ -84,7 +86,7 @@ def read_model(folder: Path, modality: tuple[str, str] | None = None) -> ReadMod
     cameras = {row.id: to_pinhole(row, f"{cameras_file}: camera {row.id}") for row in rows}
     if len(cameras) < len(rows):
         raise DamagedModelError(cameras_file, "two of its cameras have one id")
-    images = reader.read_images(images_file)
+    images = reader.read_images(images_file) if images is None else images
     if not images:
         raise SceneError(f"{images_file} has no registered image; {REMEDY}")
     if len({image.id for image in images}) < len(images):
@@ -111,16 +113,12 @@ def read_model(folder: Path, modality: tuple[str, str] | None = None) -> ReadMod
 
 def _pose(image: ImageEntry, path: Path) -> np.ndarray:
     """Return world to camera (4, 4). Raises DamagedModelError for what is no pose."""
-    w, x, y, z = image.quaternion
-    quaternion, norm = np.array([x, y, z, w]), math.hypot(w, x, y, z)
+    norm = math.hypot(*image.quaternion)
     if not np.isfinite([norm, *image.translation]).all():
         raise DamagedModelError(path, f"the pose of image {image.name!r} is not finite")
     if abs(norm - 1) > UNIT_TOLERANCE:
         raise DamagedModelError(path, f"the quaternion of image {image.name!r} has length {norm:.6g}; it must be 1")
-    if abs(norm - 1) > ROUNDING:  # pycolmap takes a quaternion of another length as it is
-        quaternion /= norm
-    pose = pycolmap.Rigid3d(pycolmap.Rotation3d(quaternion), np.array(image.translation))
-    return np.vstack([pose.matrix(), [0, 0, 0, 1]])
+    return np.vstack([image.pose, [0, 0, 0, 1]])
 
 
 def _cloud(points: Points, names: dict[int, str], path: Path) -> PointCloud | None:
@@ -145,7 +143,7 @@ def _cloud(points: Points, names: dict[int, str], path: Path) -> PointCloud | No
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
         tracks = Tracks(np.repeat(place, points.lengths), points.images, names)
-    return PointCloud(xyz, points.colors[order].astype(np.float32) / np.float32(255), tracks)
+    return PointCloud(xyz, points.colors[order].astype(np.float32) / np.float32(255), tracks, ids)
 
 
 def write_model(folder: Path, views: list[tuple[str, Camera]], points: PointCloud, observations: int = 0) -> None:

@@ -5,6 +5,7 @@ Rigs and frames are not read, since the images file has all poses; 2-D points on
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -15,6 +16,7 @@ import pycolmap
 from tdgbench.scenes.errors import SceneError
 
 OBSERVED = np.dtype([("xy", "<f8", 2), ("point", "<u8")])  # 2-D points as images.bin has them; point: its id, if known
+ROUNDING = 1e-12  # of a quaternion's norm
 REMEDY = "copy or download the model again, or run COLMAP again"
 
 
@@ -44,6 +46,16 @@ class ImageEntry(NamedTuple):
     camera_id: int
     name: str
     points: np.ndarray = np.empty(0, OBSERVED)  # (N,) OBSERVED; empty unless asked for
+
+    @property
+    def pose(self) -> np.ndarray:
+        """World to camera (3, 4), of the quaternion at length 1: pycolmap takes another length as it is."""
+        w, x, y, z = self.quaternion
+        quaternion, norm = np.array([x, y, z, w]), math.hypot(w, x, y, z)
+        if abs(norm - 1) > ROUNDING:
+            quaternion /= norm
+        matrix: np.ndarray = pycolmap.Rigid3d(pycolmap.Rotation3d(quaternion), np.array(self.translation)).matrix()
+        return matrix
 
 
 class Points(NamedTuple):

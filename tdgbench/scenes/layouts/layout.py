@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.scenes.colmap import RegisteredImage, read_model
-from tdgbench.scenes.colmap.model import image_keys
+from tdgbench.scenes.colmap.model import read_images
+from tdgbench.scenes.colmap.tables import ImageEntry
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
 from tdgbench.scenes.inputs import check_view_name, is_folder, is_there, listed, regular_file
@@ -83,8 +84,8 @@ def find_scene(
     if apart := thermal.paths.keys() - kept.keys():
         thermal.notes.append(f"{len(apart)} images are not in {modality[0]}/ and are not used: {first_few(apart)}")
     thermal = thermal._replace(paths=kept)
-    place, assumed, notes = _chosen_model(folder, places, title, thermal, modality)
-    posed, points, others = read_model(place, modality)
+    place, entries, assumed, notes = _chosen_model(folder, places, title, thermal, modality)
+    posed, points, others = read_model(place, modality, entries)
     shown = by_view(folder, thermal, posed)
     pictures, unpaired = _registered_pairs(folder, rgb, posed, others)
     files = [*(path for path in listed(place) if path.is_file()), *([folder / FILE] if is_there(folder / FILE) else [])]
@@ -107,8 +108,8 @@ def model_folders(folder: Path, places: Iterable[str]) -> list[Path]:
 
 def _chosen_model(
     folder: Path, places: Iterable[str], title: str, thermal: Images, modality: tuple[str, str]
-) -> tuple[Path, dict[str, str], list[str]]:
-    """Return the folder of the model that poses most thermal images, what is assumed, and notes."""
+) -> tuple[Path, list[ImageEntry] | None, dict[str, str], list[str]]:
+    """Return the folder of the model that poses most thermal images, its images if read, what is assumed, notes."""
     found = model_folders(folder, places)
     if not found:
         first = next(iter(places))
@@ -117,17 +118,18 @@ def _chosen_model(
         )
     models = [path for path in found if is_there(path / "images.bin") or is_there(path / "images.txt")]
     if len(models) < 2:
-        return (models or found)[0], {}, []
-    counts = []
-    for path in models:
-        names = view_names(of_modality(image_keys(path), *modality), str(path))
+        return (models or found)[0], None, {}, []
+    entries, counts = [read_images(path) for path in models], []
+    for path, images in zip(models, entries, strict=True):
+        names = view_names(of_modality([key(image.name) for image in images], *modality), str(path))
         counts.append(len(pair(thermal.paths, {name: one for one, name in names.items()}, str(folder))))
-    best = models[counts.index(max(counts))]
+    number = counts.index(max(counts))
+    best = models[number]
     name = best.relative_to(folder).as_posix()
     sizes = ", ".join(f"{path.name}: {count}" for path, count in zip(models, counts, strict=True))
     said = f"{name}: {max(counts)} of {len(thermal.paths)} thermal images, of {len(models)} models ({sizes})"
     why = f"{said}: each has a world of its own, and the largest is read; to read another one, remove or rename {name}"
-    return best, {"model": said}, [] if best == models[0] else [why]
+    return best, entries[number], {"model": said}, [why] if number else []
 
 
 def _registered_pairs(
