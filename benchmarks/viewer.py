@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.common.clouds import random_cloud
 from benchmarks.common.timing import median_ms
+from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.record import Record
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
@@ -39,7 +40,7 @@ def random_cell(count: int, width: int, height: int) -> ViewedCell:
     model = Gaussians(cloud.means, cloud.scales.log(), cloud.quats, cloud.opacities.logit(), sh)
     camera = Camera(cloud.K.double().numpy(), cloud.viewmat.double().numpy(), width, height)
     record = Record("random", "", f"{count} Gaussians", "", 0, "", "", channels=1)
-    return ViewedCell(Path(), record, {"thermal": model}, {}, {"view": camera})
+    return ViewedCell(CellFolder(Path(), record), {"thermal": model}, {}, {"view": camera})
 
 
 def orbit(cell: ViewedCell, width: int, height: int, frames: int) -> list[Camera]:

@@ -62,7 +62,7 @@ def _kept() -> str:
     callback = getattr(sys.modules.get("tdgbench.experiments.callback"), "ExperimentCallback", None)
     if callback is None or callback.folder is None:
         return ""
-    from tdgbench.cells.stored import stored_in_words
+    from tdgbench.bench.stored import stored_in_words
 
     return f"; {stored_in_words(callback.folder)}"
 

@@ -22,8 +22,8 @@ from tdgbench.bench.backend_check.check import check
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.setup import set_up
+from tdgbench.cells.folder import hashes_of_content
 from tdgbench.cells.record import read_all
-from tdgbench.cells.stored import hashes_of_content
 from tdgbench.resources import conf_folder
 from tdgbench.training.loop import train
 

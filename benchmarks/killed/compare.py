@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
+from tdgbench.cells.folder import CellFolder, hashes_of_content
 from tdgbench.cells.record import Record, read_all, read_record, record_files
-from tdgbench.cells.stored import file_problems, hashes_of_content
 from tdgbench.tables.build import build_tables
 
 MAY_DIFFER = ("seconds", "train_processor_seconds", "peak_rss_mb", "peak_gpu_mb", "environment", "resumed", "notes")
@@ -45,7 +45,7 @@ def different_files(calm: Path, killed: Path) -> Iterator[str]:
     """Files of cells that are not those of their records, whose hashes are compared; missing files."""
     for path in record_files(killed):
         record = read_record(path.parent)
-        yield from () if record is None else file_problems(path.parent, record.hashes)
+        yield from () if record is None else CellFolder(path.parent, record).file_problems()
     yield from (f"{name} is only in one of them" for name in sorted({*_files(calm)} ^ {*_files(killed)}))
 
 

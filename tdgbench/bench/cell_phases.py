@@ -19,18 +19,17 @@ from tdgbench.bench.assumed import state_assumptions, state_values
 from tdgbench.bench.backend_check.choose import auto, training_backend
 from tdgbench.bench.environment import SAME_BYTES, code_version
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.scores import score_training_views, write_log, write_views
+from tdgbench.bench.scores import render_views, score_training_views, write_renders
 from tdgbench.bench.setup import Facts, SetupObserver, Training, loader_of, set_up
-from tdgbench.cells import cameras
-from tdgbench.cells.ground_truth import truth_hashes
+from tdgbench.cells.cameras import write_cameras
+from tdgbench.cells.cell_tables import write_log, write_views
+from tdgbench.cells.folder import hashes_below
+from tdgbench.cells.ground_truth import masked_share, truth_hashes
 from tdgbench.cells.key import as_json, cell_key, relevant_config
-from tdgbench.cells.masks import masked_share
 from tdgbench.cells.paths import cell_folder_of, files_of, prior_cache, short_name
 from tdgbench.cells.protocol import protocol_of
 from tdgbench.cells.read_files import MOST_PIXELS
 from tdgbench.cells.record import MadeElsewhere, PartReport, Record, SkipRecord
-from tdgbench.cells.renders import render_views, write_renders
-from tdgbench.cells.stored import hashes
 from tdgbench.cells.stored_parts import write_parts
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene, SceneError
@@ -192,10 +191,10 @@ class CellRun(SetupObserver):
                 for name, model in trainer.gaussians.items():
                     save_ply(model.gaussians, unfinished / files_of(name).model)
                 write_parts(trainer, unfinished)
-                cameras.write_cameras(unfinished / cameras.FILE, scene)
-                write_views(unfinished / "views.csv", scores)
-                write_log(unfinished / "log.csv", log)
-            record.hashes, record.truth = hashes(unfinished), truth_hashes(scene.test)
+                write_cameras(unfinished, scene)
+                write_views(unfinished, scores)
+                write_log(unfinished, log)
+            record.hashes, record.truth = hashes_below(unfinished), truth_hashes(scene.test)
             record.write(unfinished)
         self._discard(checkpoint)
 
@@ -206,7 +205,7 @@ class CellRun(SetupObserver):
         try:
             with whole_folder(self._running) as unfinished:
                 replace(self.record, seconds={"train": 0.0}, parts=parts).write(unfinished)
-                cameras.write_cameras(unfinished / cameras.FILE, ready.scored)
+                write_cameras(unfinished, ready.scored)
         except OSError as error:
             self.remarks.append(f"tdgbench view --follow cannot show it: {error}")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench import failures
+from tdgbench.bench import failures, stored
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.cell_phases import CellRun
 from tdgbench.bench.environment import describe_environment
@@ -18,9 +18,8 @@ from tdgbench.bench.machine import PeakMemory, exclusive_gpu, visible_gpus
 from tdgbench.bench.options import check_names, check_options
 from tdgbench.bench.outcome import Outcome, Status, finished
 from tdgbench.bench.progress import CellProgress
-from tdgbench.cells import stored
 from tdgbench.cells.key import why_differs
-from tdgbench.cells.record import Record
+from tdgbench.cells.record import Record, readable_record
 from tdgbench.files import finish_replacement
 from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import MissingScenesError
@@ -80,7 +79,7 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
         return Outcome("elsewhere", record.title, "another process is running it")
     run.is_locked = True
     finish_replacement(run.folder)
-    existing = stored.readable_record(run.folder)
+    existing = readable_record(run.folder)
     skipped = None if existing is None else _outcome_without_run(existing, record, cfg)
     if skipped is None and cfg.overwrite != "always" and stored.restore(run.folder, record, existing):
         skipped = Outcome("kept", record.title, "restored: its settings are those of an earlier result")

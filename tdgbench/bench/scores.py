@@ -1,24 +1,25 @@
-"""Scores of a method's views; `views.csv`: the scores of each test view; `log.csv`: lines of the training."""
+"""Renders of a method's views and their scores; the renders of test views, and what belongs to them, as PNG."""
 
 from __future__ import annotations
 
-import csv
-import math
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
-from tdgbench.cells.read_files import read_table
-from tdgbench.cells.record import LARGEST_SCORE
-from tdgbench.cells.renders import render_images
-from tdgbench.scenes import Scene
-from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, Scores, mean_scores
+import numpy as np
+import torch
+from PIL import Image
+
+from tdgbench.cells.paths import DETERMINACY, MASKS, files_of
+from tdgbench.cells.renders import depth_of, determinacy_of
+from tdgbench.scenes import Scene, View
+from tdgbench.scenes.modalities import OTHERS, THERMAL, image_of
+from tdgbench.scoring import TRAIN_METRICS, RenderedImages, Scorer, Scores, mean_scores, to_8bit
 from tdgbench.scoring.scored_view import NotApplicableError
 from tdgbench.splats.cpu import pool
-from tdgbench.text import csv_text, from_csv, shortened
 from tdgbench.thermal import IDEAL, ImageResponse
-from tdgbench.training.loop import TrainingLog
 from tdgbench.training.trainer import Trainer
 
-Row = Scores  # of views.csv
 VIEWS_A_THREAD = 2  # training views that are rendered before they are scored together
 
 
@@ -57,51 +58,61 @@ def batches(count: int) -> list[tuple[int, int]]:
     return [(start, min(start + size, count)) for start in range(0, count, size)]
 
 
-def write_views(path: Path, scores: dict[str, Scores]) -> None:
-    """Write one row per view; n/a where a metric has no value."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["view", *METRICS])
-        for name, values in scores.items():
-            writer.writerow([csv_text(name), *("n/a" if values[m] is None else values[m] for m in METRICS)])
+def render_views(trainer: Trainer, views: list[View], response: ImageResponse = IDEAL) -> dict[str, RenderedImages]:
+    """Render each view, by name, in all of the method's modalities, with its determinacy if the method has Gaussians.
 
-
-def read_views(path: Path) -> dict[str, Row]:
-    """Return scores by view and metric from views.csv, None for n/a.
-
-    Raises ValueError for a file of any other form (a repeated view or column, a row that is too short, no number), and
-    FileNotFoundError where there is none.
+    response: of the thermal camera.
     """
-    rows = read_table(path)
-    if not rows or not rows[0] or rows[0][0] != "view" or len(set(rows[0])) != len(rows[0]):
-        raise ValueError("its first line is not `view` and the names of metrics")
-    found: dict[str, Row] = {}
-    for row in rows[1:]:
-        name = from_csv(row[0])
-        if name in found:
-            raise ValueError(f"it has two rows of {name}")
-        places = zip(rows[0][1:], row[1:], strict=True)
-        found[name] = {m: None if text == "n/a" else finite_field(text, f"{m} of {name}") for m, text in places}
-    return found
+    renders = {view.name: render_images(trainer, view, response) for view in views}
+    if THERMAL not in trainer.gaussians:
+        return renders
+    known = determinacy_of(trainer.gaussians[THERMAL].gaussians, (view.camera for view in trainer.context.scene.train))
+    return {view.name: replace(renders[view.name], determinacy=known.image(view.camera).numpy()) for view in views}
 
 
-def write_log(path: Path, log: TrainingLog) -> None:
-    """Write one row per logged iteration; one column per loss term."""
-    terms = sorted({term for line in log.lines for term in line.terms})
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["iteration", "seconds", "loss", "smoothed_psnr", "gaussians", *(f"loss_{t}" for t in terms)])
-        for line in log.lines:
-            values = [line.terms.get(term, "") for term in terms]
-            writer.writerow([line.iteration, round(line.seconds, 3), line.loss, line.psnr, line.gaussians, *values])
+@torch.no_grad()
+def render_images(
+    trainer: Trainer, view: View, response: ImageResponse = IDEAL, others: Iterable[str] = OTHERS
+) -> RenderedImages:
+    """Render the thermal image (H, W, C) and the expected depth (H, W, world units) of a view.
+
+    others: modalities whose images are rendered as well, if the method has them.
+    """
+    method, frame = trainer.method, trainer.context.frame(view)
+    render = method.render(frame).cpu()
+    if render.depth is None and method.trains:
+        raise TypeError(f"{method.name}.render gives no depth; a method must render depth with the image")
+    image = render.image.numpy()
+    rendered = {name: method.render(frame, name).cpu().image.numpy() for name in others if name in method.modalities}
+    return RenderedImages(response.of(image, view.name), depth_of(render), rendered, response.temperatures(image))
 
 
-def finite_field(text: str, what: str) -> float:
-    """Return a number from a CSV field. Raises ValueError, naming it by `what`, if it is none or out of range."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= LARGEST_SCORE:  # NaN included
-        raise ValueError(f"{what} is {shortened(text, 60)!r}, which is no finite number up to {LARGEST_SCORE:g}")
-    return value
+def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:
+    """Write each view to `folder` as PNG, in the folders of `files_of` each modality that it was rendered in.
+
+    A view with masked pixels has its mask in masks/; its render is whole. Determinacy goes to determinacy/, 255 for 1.
+    """
+    for view in views:
+        images = renders[view.name]
+        _write_pair(folder, THERMAL, view.name, images.image, view.thermal)
+        if view.valid is not None:  # 255 where a thermal value was measured, else 0
+            _write_picture(folder, MASKS, view.name, view.valid[..., None].astype(np.float32))
+        if images.determinacy is not None:
+            _write_picture(folder, DETERMINACY, view.name, images.determinacy[..., None])
+        for modality, image in images.others.items():
+            target = image_of(view, modality)
+            if target is not None:
+                _write_pair(folder, modality, view.name, image, target)
+
+
+def _write_pair(folder: Path, modality: str, name: str, image: np.ndarray, target: np.ndarray) -> None:
+    files = files_of(modality)
+    for sub, values in ((files.renders, image), (files.targets, target)):
+        _write_picture(folder, sub, name, values)
+
+
+def _write_picture(folder: Path, sub: str, name: str, values: np.ndarray) -> None:
+    path = folder / sub / f"{name}.png"
+    path.parent.mkdir(exist_ok=True)
+    pixels = to_8bit(values)
+    Image.fromarray(pixels[..., 0] if pixels.shape[2] == 1 else pixels).save(path)

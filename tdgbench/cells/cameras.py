@@ -8,26 +8,26 @@ from typing import Any
 
 import numpy as np
 
+from tdgbench.cells.paths import CAMERAS_FILE
 from tdgbench.cells.read_files import MAX_CAMERAS, MOST_PIXELS, read_text
 from tdgbench.files import write_text
 from tdgbench.scenes import Camera, Scene, SceneError
 from tdgbench.scenes.validate import check_camera
 from tdgbench.text import shortened
 
-FILE = "cameras.json"
 Cameras = dict[str, dict[str, Camera]]  # by part, `train` or `test`, and view
 
 
-def write_cameras(path: Path, scene: Scene) -> None:
+def write_cameras(folder: Path, scene: Scene) -> None:
     """Write the cameras of all training and test views."""
     parts = {"train": scene.train, "test": scene.test}
     cameras = {part: {view.name: _as_json(view.camera) for view in views} for part, views in parts.items()}
-    write_text(path, json.dumps(cameras, indent=1) + "\n")
+    write_text(folder / CAMERAS_FILE, json.dumps(cameras, indent=1) + "\n")
 
 
 def read_cameras(folder: Path) -> Cameras:
     """Read the cameras of a cell. Raises ValueError, naming the file or the view, if it holds anything else."""
-    path = folder / FILE
+    path = folder / CAMERAS_FILE
     try:
         content = json.loads(read_text(path, MAX_CAMERAS))
         found: Cameras = {

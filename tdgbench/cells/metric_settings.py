@@ -9,10 +9,10 @@ from typing import Any, NotRequired
 from pydantic import ConfigDict, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
-from tdgbench.cells.record import FILE
+from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.scoring import LPIPSOptions, Scorer
-from tdgbench.scoring.backbones import own_weights
-from tdgbench.scoring.lpips import Net, Range
+from tdgbench.scoring.backbones import Net, own_weights
+from tdgbench.scoring.lpips import Range
 from tdgbench.scoring.scored_view import Border, ConventionName
 from tdgbench.text import shortened
 
@@ -51,7 +51,7 @@ def metric_settings(metrics: Mapping[str, Any] | None) -> MetricSettings:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(["config.metrics", *(str(part) for part in first["loc"])])
-        raise ValueError(f"{FILE}: {place}: {first['msg']}") from error
+        raise ValueError(f"{RECORD_FILE}: {place}: {first['msg']}") from error
 
 
 def scorer_of(settings: MetricSettings, download: bool = False, weights: Path | None = None) -> Scorer:

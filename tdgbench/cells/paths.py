@@ -1,4 +1,4 @@
-"""Where the files of a cell are."""
+"""Names of a cell's files, and where its folder is."""
 
 from __future__ import annotations
 
@@ -6,15 +6,25 @@ import hashlib
 import os
 import re
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from tdgbench.cells.record import Record
 from tdgbench.scenes.modalities import THERMAL
 
+if TYPE_CHECKING:
+    from tdgbench.cells.record import Record
+
+RECORD_FILE = "record.json"
+CAMERAS_FILE = "cameras.json"  # of all views, to render the model again without the data
+VIEWS_FILE = "views.csv"  # scores of each test view
+LOG_FILE = "log.csv"  # lines of the training
+PARTS_FILE = "parts.pt"  # parts of the method that rendering needs beside the Gaussians
+MASKS = "masks"  # folder: valid pixels of the test views
+DETERMINACY = "determinacy"  # folder: how well the training views determine each pixel of the test views
+_MODEL, _RENDERS, _TARGETS = "model", "renders", "targets"
 # Files of a cell by relative path; every other file is a stranger there.
 CELL_FILE = re.compile(
-    r"record\.json|cameras\.json|views\.csv|log\.csv|parts\.pt|model(_\w+)?\.ply"
-    r"|((renders|targets)(_\w+)?|masks|determinacy)/[^/]+\.png"
+    "|".join(re.escape(name) for name in (RECORD_FILE, CAMERAS_FILE, VIEWS_FILE, LOG_FILE, PARTS_FILE))
+    + rf"|{_MODEL}(_\w+)?\.ply|(({_RENDERS}|{_TARGETS})(_\w+)?|{MASKS}|{DETERMINACY})/[^/]+\.png"
 )
 LONGEST = 230  # bytes of a folder's name; file systems allow 255, and hidden siblings have longer names
 
@@ -22,6 +32,7 @@ LONGEST = 230  # bytes of a folder's name; file systems allow 255, and hidden si
 def cell_folder_of(experiment: Path, record: Record) -> Path:
     """Return <experiment>/cells/<method>/<dataset>/<scene>/<init>/seed<k>[,<variant>].
 
+    >>> from tdgbench.cells.record import Record
     >>> record = Record("tdg", "paper", "Truck", "colmap", 0, "table1", "budget.iterations=900")
     >>> cell_folder_of(Path("table1"), record).as_posix()
     'table1/cells/tdg/paper/Truck/colmap/seed0,budget.iterations=900'
@@ -70,7 +81,7 @@ def files_of(modality: str) -> ModalityFiles:
     ModalityFiles(model='model_rgb.ply', renders='renders_rgb', targets='targets_rgb')
     """
     suffix = "" if modality == THERMAL else f"_{modality}"
-    return ModalityFiles(f"model{suffix}.ply", f"renders{suffix}", f"targets{suffix}")
+    return ModalityFiles(f"{_MODEL}{suffix}.ply", f"{_RENDERS}{suffix}", f"{_TARGETS}{suffix}")
 
 
 def hidden_folder(folder: Path, key: str) -> Path:

@@ -12,11 +12,11 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, TypeAda
 from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
+from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.cells.read_files import read_text
 from tdgbench.files import write_text
 from tdgbench.text import one_line, shortened
 
-FILE = "record.json"
 SCHEMA: Literal[2] = 2
 CLOSED = ConfigDict(extra="forbid", allow_inf_nan=False)
 READ_PHASE = "read"  # of the failure that stands for a record that cannot be read
@@ -195,7 +195,7 @@ class Record:
 
     def write(self, folder: Path) -> None:
         """Write record.json, whole or not at all."""
-        write_text(folder / FILE, json.dumps(asdict(self), indent=1, sort_keys=True, allow_nan=False) + "\n")
+        write_text(folder / RECORD_FILE, json.dumps(asdict(self), indent=1, sort_keys=True, allow_nan=False) + "\n")
 
 
 def read_record(folder: Path) -> Record | None:
@@ -203,7 +203,7 @@ def read_record(folder: Path) -> Record | None:
 
     Raises ValueError, naming the file, for anything else: types are checked, and whether status and failure agree.
     """
-    path = folder / FILE
+    path = folder / RECORD_FILE
     try:
         return _validator().validate_json(read_text(path), strict=True)
     except FileNotFoundError:
@@ -211,6 +211,14 @@ def read_record(folder: Path) -> Record | None:
     except ValueError as error:
         problem = _problems(error)[0] if isinstance(error, ValidationError) else error
         raise ValueError(f"{path} is not a record: {problem}; delete its folder to run the cell again") from error
+
+
+def readable_record(folder: Path) -> Record | None:
+    """Return the record in a folder; None if there is none, or if it is broken and the cell has to run again."""
+    try:
+        return read_record(folder)
+    except ValueError:
+        return None
 
 
 def read_all(experiment: Path) -> list[Record]:
@@ -247,7 +255,7 @@ def _unreadable(experiment: Path, folder: Path, error: str) -> Record:
 def record_files(experiment: Path) -> list[Path]:
     """Return paths of the records below <experiment>/cells, sorted, hidden folders excepted."""
     paths = sorted((experiment / "cells").rglob("*.json"))  # with a wildcard, broken links are listed as well
-    paths = [path for path in paths if path.name == FILE]
+    paths = [path for path in paths if path.name == RECORD_FILE]
     return [path for path in paths if not any(part.startswith(".") for part in path.relative_to(experiment).parts)]
 
 

@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from tdgbench.cells.cameras import Cameras
 from tdgbench.cells.known_classes import method_of
-from tdgbench.cells.paths import files_of
+from tdgbench.cells.paths import PARTS_FILE, files_of
 from tdgbench.cells.record import Record
 from tdgbench.cells.renders import background_of, blending_of
 from tdgbench.files import whole_file
@@ -25,15 +25,13 @@ from tdgbench.training.method import Context, Frame
 from tdgbench.training.splat_model import SplatModel
 from tdgbench.training.trainer import Trainer
 
-FILE = "parts.pt"
-
 
 def write_parts(trainer: Trainer, folder: Path) -> None:
     """Write the parts that rendering needs, unless all that is rendered are Gaussians."""
     states = {name: part.state_dict() for name, part in trainer.all_parts().items() if part.needed_to_render}
     if trainer.method.renders_plain_gaussians and not states:
         return
-    with whole_file(folder / FILE) as path, path.open("wb") as file:  # of a path, torch would store the name
+    with whole_file(folder / PARTS_FILE) as path, path.open("wb") as file:  # of a path, torch would store the name
         torch.save(states, file)
 
 
@@ -48,12 +46,12 @@ class StoredMethod:
             gaussians = load_ply(folder / files_of(name).model, inside=folder)
             model.restore(gaussians, background_of(record, name), blending_of(record))
         try:
-            states: dict[str, Any] = load_tensors(folder / FILE, inside=folder)
+            states: dict[str, Any] = load_tensors(folder / PARTS_FILE, inside=folder)
             for name, part in trainer.all_parts().items():
                 if part.needed_to_render:
                     part.load_state_dict(states[name])
         except (Exception, SystemExit) as error:  # parts of a user's method may raise anything
-            raise ValueError(f"{folder / FILE} does not hold the parts of {record.method}: {error}") from error
+            raise ValueError(f"{folder / PARTS_FILE} does not hold the parts of {record.method}: {error}") from error
         self._trainer = trainer
 
     @property
@@ -102,7 +100,7 @@ def _trainer_of(record: Record, cameras: Cameras) -> Trainer:
     """Return the trainer of a record at its first stage, without images. Raises ValueError, naming the method."""
     method = method_of(record)
     if not method.trains and method.renders_plain_gaussians:  # it would read the file that its options name
-        raise ValueError(f"method {record.method} has no parts, and {FILE} holds some")
+        raise ValueError(f"method {record.method} has no parts, and {PARTS_FILE} holds some")
     context = Context(_scene_of(record, cameras), _POINTS, {}, _budget_of(record), "cpu", 0)
     trial = record.thermal_camera.get("rig", {})  # of `thermal_camera.rig=auto`
     context.learns_rig = trial.get("pays", bool(record.setting("thermal_camera.rig")))

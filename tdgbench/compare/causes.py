@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from tdgbench.bench.signature import as_typed
-from tdgbench.cells.ground_truth import views_with_other_truth, views_with_truth
+from tdgbench.cells.ground_truth import views_with_other_truth
 from tdgbench.cells.key import flat
 from tdgbench.cells.protocol import MEASURED_ON
 from tdgbench.cells.record import Record
@@ -60,10 +60,10 @@ def find_causes(pairs: Iterable[Pair]) -> list[Cause]:
 
 def truth_in_words(pair: Pair) -> str:
     """Return whose ground truth the second cell of a pair was scored against, by their pictures."""
-    there = set(views_with_truth(pair.b.record))
-    common = [view for view in views_with_truth(pair.a.record) if view in there]
+    there = set(pair.b.views_with_truth())
+    common = [view for view in pair.a.views_with_truth() if view in there]
     try:
-        other = views_with_other_truth(pair.a.folder, pair.b.folder, common)
+        other = views_with_other_truth(pair.a, pair.b, common)
     except (ValueError, OSError) as error:
         return f"unknown, since {one_line(str(error))}"
     return f"another one in {len(other)} of {len(common)} test views" if other else "A's"

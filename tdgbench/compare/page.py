@@ -11,7 +11,6 @@ import pandas as pd
 
 from tdgbench.bench.colours import colored, in_colour
 from tdgbench.cells.record import Record
-from tdgbench.cells.renders import stored_view
 from tdgbench.compare.causes import KINDS, Cause
 from tdgbench.compare.cells import NUMBERS, PLACE, Pair, Pairs, numbers_as_text
 from tdgbench.files import write_text
@@ -79,7 +78,7 @@ def picture(title: str, pair: Pair) -> dict[str, object]:
     view = ""
     try:
         view = _most_different(pair)
-        a, b = (stored_view(cell.folder, view) for cell in pair)
+        a, b = (cell.pictures(view) for cell in pair)
         if a.render.shape != b.render.shape:
             raise ValueError(f"the renders have {a.render.shape[:2]} and {b.render.shape[:2]} pixels")
     except (OSError, ValueError) as error:
@@ -94,7 +93,7 @@ def picture(title: str, pair: Pair) -> dict[str, object]:
 
 
 def _most_different(pair: Pair) -> str:
-    tables = [table["psnr"] for table in (cell.views() for cell in pair) if table is not None]
+    tables = [table["psnr"] for table in (cell.views for cell in pair) if table is not None]
     if len(tables) < 2:
         raise ValueError("views.csv is missing or unusable")
     a, b = tables

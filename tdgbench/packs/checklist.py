@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from tdgbench.cells.paths import files_of
+from tdgbench.cells.folder import RENDERS, CellFolder
+from tdgbench.cells.paths import LOG_FILE
 from tdgbench.cells.plan import read_plan
-from tdgbench.cells.record import read_each
-from tdgbench.cells.stored import file_problems
-from tdgbench.scenes.modalities import THERMAL
+from tdgbench.cells.record import Record, read_each
 
 FEWEST_SEEDS = 3  # of which a spread can be stated
 OF_A_MACHINE = ("cpu", "cores", "platform", "python", "packages")
@@ -25,32 +25,48 @@ class Item(NamedTuple):
 
 def checklist(experiment: Path) -> list[Item]:
     """Return the list for a results folder."""
-    cells = read_each(experiment)
-    done = [(folder, record) for folder, record in cells if record.failure is None]
-    finished = [record for _, record in done]
-    seeds = defaultdict(set)
-    for record in finished:
-        seeds[record.title.replace(f", seed {record.seed}", "")].add(record.seed)
-    few = [title for title, found in seeds.items() if len(found) < FEWEST_SEEDS]
+    cells = [CellFolder(*one) for one in read_each(experiment)]
+    finished = [cell for cell in cells if cell.record.failure is None]
+    records = [cell.record for cell in finished]
     planned = max(read_plan(experiment).cells_with_data, len(cells))  # some may be of an earlier plan
-    unfinished = planned - len(finished)
-    protocols = sorted({record.protocol for record in finished})
-    pictures = f"{files_of(THERMAL).renders}/"
-    fewer = [r.title for r in finished if sum(n.startswith(pictures) for n in r.hashes) != r.views.get("test", 0)]
-    changed = [r.title for folder, r in done if any(file_problems(folder, r.hashes, others=False))]
-    unknown = [r.title for r in finished if not all(r.environment.get(name) for name in OF_A_MACHINE)]
-    edited = [r.title for r in finished if not r.environment.get("git") or r.environment["git"]["dirty"]]
-    logs = [r.title for folder, r in done if not (folder / "log.csv").exists()]
+    unfinished, protocols = planned - len(finished), sorted({record.protocol for record in records})
     return [
         Item("every planned cell is finished", f"{unfinished} of {planned} cells" if unfinished else ""),
-        Item(f"{FEWEST_SEEDS} seeds of each cell", _first(few)),
-        Item("all test views are there", _first(fewer)),
-        Item("the files are those of the records", _first(changed)),
+        Item(f"{FEWEST_SEEDS} seeds of each cell", _first(_cells_of_few_seeds(records))),
+        Item("all test views are there", _of(finished, _lacks_renders)),
+        Item("the files are those of the records", _of(finished, lambda cell: any(cell.file_problems(others=False)))),
         Item("one protocol", ", ".join(protocols) if len(protocols) != 1 else ""),
-        Item("machine and packages are stated", _first(unknown)),
-        Item("a commit without changes made it", _first(edited)),
-        Item("a log of each training", _first(logs)),
+        Item("machine and packages are stated", _of(finished, _states_no_machine)),
+        Item("a commit without changes made it", _of(finished, _states_no_commit)),
+        Item("a log of each training", _of(finished, lambda cell: not (cell.folder / LOG_FILE).exists())),
     ]
+
+
+def _cells_of_few_seeds(records: list[Record]) -> list[str]:
+    """Return titles, without the seed, of cells that have too few."""
+    seeds = defaultdict(set)
+    for record in records:
+        seeds[record.title.replace(f", seed {record.seed}", "")].add(record.seed)
+    return [title for title, found in seeds.items() if len(found) < FEWEST_SEEDS]
+
+
+def _lacks_renders(cell: CellFolder) -> bool:
+    renders = sum(name.startswith(f"{RENDERS}/") for name in cell.record.hashes)
+    return renders != cell.record.views.get("test", 0)
+
+
+def _states_no_machine(cell: CellFolder) -> bool:
+    return not all(cell.record.environment.get(name) for name in OF_A_MACHINE)
+
+
+def _states_no_commit(cell: CellFolder) -> bool:
+    git = cell.record.environment.get("git")
+    return not git or git["dirty"]
+
+
+def _of(cells: list[CellFolder], lacks: Callable[[CellFolder], bool]) -> str:
+    """Return the first cell that lacks something, and how many more there are."""
+    return _first([cell.record.title for cell in cells if lacks(cell)])
 
 
 def _first(titles: list[str]) -> str:

@@ -7,10 +7,9 @@ from collections.abc import Collection
 from pathlib import PurePosixPath
 
 from tdgbench.archives import MOST_BYTES
-from tdgbench.cells import cameras, plan
-from tdgbench.cells.paths import CELL_FILE
+from tdgbench.cells import plan
+from tdgbench.cells.paths import CAMERAS_FILE, CELL_FILE, RECORD_FILE
 from tdgbench.cells.read_files import MAX_CAMERAS, MAX_PICTURE, MAX_TEXT
-from tdgbench.cells.record import FILE
 from tdgbench.files import MB
 from tdgbench.scenes.inputs import check_view_name
 
@@ -38,12 +37,12 @@ def check_place(name: str) -> None:
 def most_bytes(name: str) -> int:
     """Return how many bytes a file may have, by its kind."""
     path, kinds = PurePosixPath(name), {".json": MAX_TEXT, ".csv": MAX_TEXT, ".png": MAX_PICTURE}
-    return MAX_CAMERAS if path.name == cameras.FILE else kinds.get(path.suffix, MOST_BYTES)
+    return MAX_CAMERAS if path.name == CAMERAS_FILE else kinds.get(path.suffix, MOST_BYTES)
 
 
 def check_amount(names: Collection[str]) -> None:
     """Raise ValueError for more files or cells than a pack may hold."""
-    cells = sum(name.endswith(f"/{FILE}") for name in names)
+    cells = sum(name.endswith(f"/{RECORD_FILE}") for name in names)
     for count, most, what in ((len(names), MOST_FILES, "files"), (cells, MOST_CELLS, "cells")):
         if count > most:
             raise ValueError(f"it holds {count:,} {what}, more than {most:,}")

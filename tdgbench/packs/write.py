@@ -12,9 +12,9 @@ from pathlib import Path
 
 from tdgbench import __version__
 from tdgbench.cells import plan
-from tdgbench.cells.paths import folder_name
-from tdgbench.cells.record import FILE, no_records, record_files
-from tdgbench.cells.stored import cell_files
+from tdgbench.cells.folder import files_below
+from tdgbench.cells.paths import RECORD_FILE, folder_name
+from tdgbench.cells.record import no_records, record_files
 from tdgbench.files import content_of, opened, whole_file
 from tdgbench.packs import manifest
 from tdgbench.packs.limits import NAME, check_amount, check_place, most_bytes
@@ -88,7 +88,7 @@ def _paths(experiment: Path) -> dict[str, Path]:
         raise no_records(experiment)
     paths = [experiment / plan.FILE] if (experiment / plan.FILE).exists() else []
     for record in records:
-        paths += [record, *cell_files(record.parent).values()]
+        paths += [record, *files_below(record.parent).values()]
     found = {}
     for path in sorted(paths):
         name = path.relative_to(experiment).as_posix()
@@ -103,13 +103,13 @@ def _paths(experiment: Path) -> dict[str, Path]:
 
 def _content(path: Path, experiment: Path) -> io.BytesIO | io.BufferedReader:
     """Open a file of a pack; a record is without the traceback of a failure."""
-    return io.BytesIO(_text(path)) if path.name == FILE else opened(path, inside=experiment)
+    return io.BytesIO(_text(path)) if path.name == RECORD_FILE else opened(path, inside=experiment)
 
 
 def _text(path: Path) -> bytes:
     """Read a text; a record is without the traceback of a failure."""
     stored = content_of(path, most_bytes(path.name))
-    if path.name != FILE:
+    if path.name != RECORD_FILE:
         return stored
     try:
         content = json.loads(stored)

@@ -10,11 +10,10 @@ from matplotlib.figure import Figure
 
 from tdgbench.bench import colours
 from tdgbench.bench.failures import message
-from tdgbench.cells import masks
-from tdgbench.cells.renders import stored_determinacy, stored_view
+from tdgbench.cells.ground_truth import masked_in_words
 from tdgbench.report import views
 from tdgbench.report.figures import any_font, plain
-from tdgbench.scoring.metrics.barely_seen import is_barely_seen
+from tdgbench.scoring.metrics.seen_pixels import is_barely_seen
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows
 from tdgbench.tables.cell import Cell
@@ -41,7 +40,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
         "view": view or "n/a",
         "methods": shown,
         "assumed": assumed_rows([(methods.label(cell.label), cell.record) for cell in cells]),
-        "masked": masks.masked_in_words(record.masked),
+        "masked": masked_in_words(record.masked),
         "temperature": None if record.temperature_range is None else [f"{t:g}" for t in record.temperature_range],
         "ramp": views.embedded(colours.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), colours.THERMAL, 0, 1)),
         "error_range": views.ERROR_RANGE,
@@ -68,7 +67,7 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
 
 
 def _pictures(cell: Cell, view: str) -> dict[str, Any]:
-    stored = stored_view(cell.folder, view)
+    stored = cell.pictures(view)
     pictures = {
         "truth": views.grayed(colours.in_colour(stored.truth), stored.valid),
         "render": colours.in_colour(stored.render),
@@ -88,7 +87,7 @@ def _depth(cell: Cell, view: str) -> dict[str, Any]:
 
 
 def _guesses(cell: Cell, view: str) -> dict[str, Any]:
-    render, determinacy = stored_view(cell.folder, view).render, stored_determinacy(cell.folder, view)
+    render, determinacy = cell.pictures(view).render, cell.determinacy(view)
     return {
         "guesses": views.embedded(colours.shaded(colours.in_colour(render), determinacy)),
         "barely_seen": f"{is_barely_seen(determinacy).mean():.0%}",
@@ -103,7 +102,7 @@ def curves_as_svg(cells: list[Cell], problems: list[str]) -> str:
     for cell in cells:
         if cell.record.made_elsewhere is not None:
             continue
-        log = cell.log()
+        log = cell.log
         if log is None or not {"seconds", *CURVES} <= set(log.columns):
             problems.append(f"{cell.record.title}: log.csv is missing or no log, so its curves are n/a")
             continue

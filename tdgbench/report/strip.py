@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tdgbench.bench.colours import in_colour
+from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.paths import cell_folder_of
 from tdgbench.cells.record import Record
-from tdgbench.cells.renders import stored_view
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view
 
@@ -55,7 +55,7 @@ def draw_cell(axes: tuple[Axes, Axes, Axes], record: Record, folder: Path, name:
     title = f"{plain(record.method)} {'n/a' if psnr is None else f'{psnr:.1f} dB'}"
     on_render.set_title(title, **TITLE)
     try:
-        stored = stored_view(folder, middle_view([folder]))
+        stored = CellFolder(folder, record).pictures(middle_view([folder]))
     except (OSError, ValueError):
         on_render.set_title(f"{title}: picture n/a", **TITLE)
         return

@@ -11,9 +11,7 @@ import numpy as np
 from PIL import Image
 
 from tdgbench.bench.colours import UNKNOWN, expected_depth
-from tdgbench.cells.cameras import read_cameras
 from tdgbench.cells.paths import files_of
-from tdgbench.cells.stored_views import StoredViews
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.tables.cell import Cell
 
@@ -42,5 +40,4 @@ def grayed(pixels: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
 
 def depth_of(cell: Cell, view: str) -> np.ndarray:
     """Return z (H, W) of what a cell's method renders in a test view, NaN without a surface."""
-    stored = StoredViews(cell.folder, cell.record, read_cameras(cell.folder))
-    return expected_depth(stored.renderer(THERMAL)(view))
+    return expected_depth(cell.renderer(THERMAL)(view))

@@ -16,52 +16,52 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tdgbench.bench.scores import Row, read_views, write_views
-from tdgbench.cells.cameras import read_cameras
+from tdgbench.cells.cell_tables import write_views
+from tdgbench.cells.folder import CellFolder, hashes_below
 from tdgbench.cells.key import cell_key, flat
 from tdgbench.cells.known_classes import UnknownMethodError
+from tdgbench.cells.paths import VIEWS_FILE
 from tdgbench.cells.protocol import VERSION, protocol_of
-from tdgbench.cells.record import Record
-from tdgbench.cells.stored import cell_files, file_problems, hashes, readable_record
-from tdgbench.cells.stored_views import StoredViews
+from tdgbench.cells.record import Record, readable_record
 from tdgbench.files import whole_folder
-from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, mean_scores
+from tdgbench.scenes import Scene
+from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, Scores, mean_scores
 from tdgbench.scoring.metric import ImageMetric, Metric
 
-VIEWS = "views.csv"
 NO_MODEL = "the cell has no model to render again"
 NO_RENDERS = "renders of training views are not stored"
 
 
-class Known(NamedTuple):
-    """A record that was scored, its rows of views.csv, and the metrics whose values the new protocol shares."""
+class EarlierScores(NamedTuple):
+    """A cell that was scored, its rows of views.csv, and the metrics whose values the new protocol shares."""
 
-    record: Record
-    rows: dict[str, Row]
+    cell: CellFolder
+    rows: dict[str, Scores]
     metrics: list[str]
-    is_there: bool  # it lies in the new experiment already
 
 
-def score_cell(folder: Path, record: Record, target: Path, scorer: Scorer, metrics: dict[str, Any]) -> list[str]:
+def score_cell(cell: CellFolder, target: Path, scorer: Scorer, metrics: dict[str, Any]) -> list[str]:
     """Score a finished cell again; return the metrics that were computed. The caller must hold the lock on `target`.
 
     target: the cell's folder in the new experiment. metrics: options, as records keep them. Raises ValueError for files
     that are not those of the record, and if `target` holds another training.
     """
-    problem = next(file_problems(folder, record.hashes), None)
+    record = cell.record
+    problem = next(cell.file_problems(), None)
     if problem is not None:
         raise ValueError(f"{problem}; see tdgbench verify")
     config = {**record.config, "metrics": metrics}
     new = replace(record, config=config, convention=metrics["convention"], protocol=protocol_of(config))
     new.key = cell_key(new)
-    known = _known(folder, record, target, new)
-    todo = [metric for name, metric in METRICS.items() if name not in known.metrics]
+    earlier = _earlier_scores(cell, target, new)
+    todo = [metric for name, metric in METRICS.items() if name not in earlier.metrics]
     start = time.perf_counter()
-    rows = _rows(StoredViews(folder, record, read_cameras(folder)), scorer, known, todo)
+    rows = _rows(cell, scorer, earlier, todo)
     new.scores, new.train_scores = mean_scores(rows), dict(record.train_scores)
-    if known.is_there and (new.scores, config) == (known.record.scores, known.record.config):
+    there = earlier.cell.record
+    if earlier.cell is not cell and (new.scores, config) == (there.scores, there.config):
         return []
-    kept = {name: why for name, why in known.record.missing.items() if name in known.metrics or name not in METRICS}
+    kept = {name: why for name, why in there.missing.items() if name in earlier.metrics or name not in METRICS}
     new.missing = {**kept, **{name: why for name, why in scorer.missing.items() if new.scores[name] is None}}
     for name, metric in TRAIN_METRICS.items():
         if not _is_same(metric, record, new):
@@ -69,19 +69,20 @@ def score_cell(folder: Path, record: Record, target: Path, scorer: Scorer, metri
     new.seconds = {**record.seconds, "score": round(time.perf_counter() - start, 3)}
     if new.protocol != record.protocol:
         new.notes = [*record.notes, f"scored again: protocol {new.protocol}, trained with {record.protocol or 'none'}"]
-    _write(folder, target, new, rows)
+    _write(cell, target, new, rows)
     return [metric.name for metric in todo]
 
 
-def _known(folder: Path, record: Record, target: Path, new: Record) -> Known:
+def _earlier_scores(cell: CellFolder, target: Path, new: Record) -> EarlierScores:
     """Return the values that can be taken over: those of an earlier scoring in `target`, else those of the cell."""
-    there, source = readable_record(target), folder
+    there, source = readable_record(target), cell
     if there is not None and there.failure is None:
-        if {**there.hashes, VIEWS: ""} != {**record.hashes, VIEWS: ""}:
+        if {**there.hashes, VIEWS_FILE: ""} != {**cell.record.hashes, VIEWS_FILE: ""}:
             raise ValueError(f"{target} holds another training; name a new folder, or delete it")
-        if there.protocol == new.protocol and not any(file_problems(target, there.hashes)):
-            record, source = there, target
-    rows = read_views(source / VIEWS)
+        scored = CellFolder(target, there)
+        if there.protocol == new.protocol and not any(scored.file_problems()):
+            source = scored
+    record, rows = source.record, source.read_views()
     shared = [
         name
         for name, metric in METRICS.items()
@@ -90,7 +91,7 @@ def _known(folder: Path, record: Record, target: Path, new: Record) -> Known:
         and _is_same(metric, record, new)
         and not (record.scores[name] is None and metric.of_network)  # weights may be there by now
     ]
-    return Known(record, rows, shared, source == target)
+    return EarlierScores(source, rows, shared)
 
 
 def _is_same(metric: Metric, old: Record, new: Record) -> bool:
@@ -100,39 +101,42 @@ def _is_same(metric: Metric, old: Record, new: Record) -> bool:
     return number == str(VERSION) and all(before.get(name) == after.get(name) for name in metric.options)
 
 
-def _rows(stored: StoredViews, scorer: Scorer, known: Known, todo: list[Metric]) -> dict[str, Row]:
+def _rows(cell: CellFolder, scorer: Scorer, earlier: EarlierScores, todo: list[Metric]) -> dict[str, Scores]:
     """Return the scores of each test view, in the order of METRICS."""
-    scene, scorer.missing = stored.scene(), {}
+    views, scene, scorer.missing = list(cell.test_cameras), cell.scene(), {}
     by_pictures = [metric for metric in todo if isinstance(metric, ImageMetric)]
     by_model = [metric for metric in todo if not isinstance(metric, ImageMetric)]
-    found = [{name: {m: known.rows[name][m] for m in known.metrics} for name in stored.cameras}]
+    found = [{view: {m: earlier.rows[view][m] for m in earlier.metrics} for view in views}]
     if by_pictures:
-        found.append(scorer.score(scene, {name: stored.rendered(name) for name in stored.cameras}, by_pictures))
-    why_not = ""
-    if by_model and stored.record.gaussians:
+        found.append(scorer.score(scene, {view: cell.rendered(view) for view in views}, by_pictures))
+    if by_model:
+        found.append(_scores_by_model(cell, scene, scorer, by_model))
+    rows = {view: ChainMap(*(scores[view] for scores in found)) for view in views}
+    return {view: {metric: row[metric] for metric in METRICS} for view, row in rows.items()}
+
+
+def _scores_by_model(cell: CellFolder, scene: Scene, scorer: Scorer, metrics: list[Metric]) -> dict[str, Scores]:
+    """Return the scores of each test view that renders of the model give; None where it cannot be rendered."""
+    why_not = NO_MODEL
+    if cell.record.gaussians:
         try:
-            found.append(scorer.score(scene, stored.rendered_again(), by_model))
+            return scorer.score(scene, cell.rendered_again(), metrics)
         except UnknownMethodError as error:
             why_not = str(error)
-    elif by_model:
-        why_not = NO_MODEL
-    if why_not:
-        scorer.missing |= {metric.name: why_not for metric in by_model}
-        found.append({name: dict.fromkeys(metric.name for metric in by_model) for name in stored.cameras})
-    rows = {name: ChainMap(*(scores[name] for scores in found)) for name in stored.cameras}
-    return {name: {metric: row[metric] for metric in METRICS} for name, row in rows.items()}
+    scorer.missing |= {metric.name: why_not for metric in metrics}
+    return {view: dict.fromkeys(metric.name for metric in metrics) for view in cell.test_cameras}
 
 
-def _write(folder: Path, target: Path, record: Record, rows: dict[str, Row]) -> None:
-    """Write a cell whose files are those of `folder`, but for its scores; links where the file system has them."""
+def _write(cell: CellFolder, target: Path, record: Record, rows: dict[str, Scores]) -> None:
+    """Write a cell whose files are those of `cell`, but for its scores; links where the file system has them."""
     with whole_folder(target) as part:
-        for name, path in cell_files(folder).items():
-            if name != VIEWS:
+        for name, path in cell.files().items():
+            if name != VIEWS_FILE:
                 (part / name).parent.mkdir(parents=True, exist_ok=True)
                 try:
                     os.link(path, part / name)
                 except OSError:
                     shutil.copyfile(path, part / name)
-        write_views(part / VIEWS, rows)
-        record.hashes = hashes(part)
+        write_views(part, rows)
+        record.hashes = hashes_below(part)
         record.write(part)

@@ -14,12 +14,13 @@ from omegaconf import OmegaConf
 from tdgbench.bench.failures import message
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.options import check_options
+from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.key import as_json, relevant_metrics
 from tdgbench.cells.known_classes import add_trust_arguments, trust
 from tdgbench.cells.metric_settings import metric_settings, scorer_of
 from tdgbench.cells.paths import cell_folder_of
 from tdgbench.cells.plan import read_plan
-from tdgbench.cells.record import Record, read_each
+from tdgbench.cells.record import read_each
 from tdgbench.experiments.experiment import error_message
 from tdgbench.experiments.sweep.finish import write_all
 from tdgbench.files import whole_folder
@@ -84,7 +85,7 @@ def score_experiment(experiment: Path, out: Path, words: list[str]) -> bool:
             with cell_lock(out, target) as is_held:
                 if not is_held:
                     raise ValueError("another process works on it")
-                outcome = _score(folder, record, target, chosen, scorers)
+                outcome = _score(CellFolder(folder, record), target, chosen, scorers)
         except (ValueError, OSError) as error:
             failed, outcome = True, f"not scored: {error}"
         except (Exception, SystemExit) as error:  # a method of the user may raise anything; the others are scored
@@ -93,8 +94,9 @@ def score_experiment(experiment: Path, out: Path, words: list[str]) -> bool:
     return failed
 
 
-def _score(folder: Path, record: Record, target: Path, chosen: Chosen | None, scorers: dict[str, Scorer]) -> str:
+def _score(cell: CellFolder, target: Path, chosen: Chosen | None, scorers: dict[str, Scorer]) -> str:
     """Score a cell, or hand the record of a failed one on; return what was done, in words."""
+    record = cell.record
     if record.failure is not None:
         with whole_folder(target) as part:
             record.write(part)
@@ -104,7 +106,7 @@ def _score(folder: Path, record: Record, target: Path, chosen: Chosen | None, sc
     own = settings["lpips"]["weights"] if chosen else None  # one that a record names is not opened
     scorer = scorer_of(settings, download, None if own is None else Path(own))
     scorer = scorers.setdefault(json.dumps(metrics, sort_keys=True), scorer)
-    computed = score_cell(folder, record, target, scorer, metrics)
+    computed = score_cell(cell, target, scorer, metrics)
     return f"{', '.join(computed)} computed" if computed else "already there"
 
 

@@ -38,7 +38,7 @@ def write_site(packs: Sequence[Pack], folder: Path) -> int:
     """
     if folder.exists():
         raise FileExistsError(f"{folder} is there already; remove it, or name a new folder")
-    truths = truth_groups({cell.folder: cell.record for pack in packs for cell in pack.cells})
+    truths = truth_groups(cell for pack in packs for cell in pack.cells)
     rows = [row for pack in packs for row in rows_of(pack, truths)]
     if not rows:
         raise ValueError("the packs hold no finished cell")

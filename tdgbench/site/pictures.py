@@ -13,7 +13,6 @@ from PIL import Image
 
 from tdgbench.bench import colours
 from tdgbench.cells.protocol import protocol_settings
-from tdgbench.cells.renders import stored_view
 from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view
 from tdgbench.site.packed import Pack
 from tdgbench.tables.cell import Cell
@@ -69,7 +68,7 @@ def _test_views(cell: Cell) -> str:
 def _draw(card: Card, view: str) -> None:
     card.view = view
     try:
-        stored = stored_view(card.cell.folder, view)
+        stored = card.cell.pictures(view)
     except (OSError, ValueError) as error:
         card.problem = str(error)
         return

@@ -1,30 +1,23 @@
-"""A finished cell: its record, its folder, and the properties that comparisons need."""
+"""A finished cell as comparisons see it."""
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import cache
+from functools import cached_property
 from pathlib import Path
 
 import pandas as pd
 
-from tdgbench.bench.scores import read_views
+from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.paths import cell_folder_of
-from tdgbench.cells.read_files import table_text
 from tdgbench.cells.record import Record
 from tdgbench.scoring import METRICS
 from tdgbench.tables.long_table import method_label, planned_iterations
 
 
-@dataclass(frozen=True)
-class Cell:
-    """A cell that has scores, and its folder with log.csv, views.csv and pictures."""
-
-    record: Record
-    folder: Path
+class Cell(CellFolder):
+    """A finished cell with the properties that comparisons need, and its tables as far as they are usable."""
 
     @property
     def label(self) -> str:
@@ -54,33 +47,25 @@ class Cell:
         place = [*self.dataset_and_scene, self.record.data, self.record.split]
         return json.dumps([*place, config, budget], sort_keys=True)
 
+    @cached_property
     def log(self) -> pd.DataFrame | None:
-        """Read log.csv: iteration, seconds, smoothed_psnr (dB), loss_thermal, …; None if it is not there, or no log."""
-        return _log(self.folder / "log.csv")
+        """The training log: iteration, seconds, smoothed_psnr (dB), loss_thermal, …; None if there is no usable one."""
+        try:
+            rows = self.read_log()
+        except (OSError, ValueError):
+            return None
+        return pd.DataFrame(rows) if rows else None
 
+    @cached_property
     def views(self) -> pd.DataFrame | None:
-        """Read views.csv: scores by the view's name, NaN for n/a; None if it is not there, or has another form."""
-        return _views(self.folder / "views.csv")
+        """Scores by the view's name, NaN for n/a; None if there are no usable ones."""
+        try:
+            rows = self.read_views()
+        except (OSError, ValueError):
+            return None
+        return pd.DataFrame(list(rows.values()), list(rows), list(METRICS), dtype=float)
 
 
 def finished_cells(experiment: Path, records: Iterable[Record]) -> list[Cell]:
     """Return the cells of an experiment that have scores."""
-    return [Cell(record, cell_folder_of(experiment, record)) for record in records if record.failure is None]
-
-
-@cache
-def _views(path: Path) -> pd.DataFrame | None:
-    try:
-        rows = read_views(path)
-    except (OSError, ValueError):
-        return None
-    return pd.DataFrame(list(rows.values()), list(rows), list(METRICS), dtype=float)
-
-
-@cache
-def _log(path: Path) -> pd.DataFrame | None:
-    try:
-        log = pd.read_csv(io.StringIO(table_text(path))).apply(pd.to_numeric, errors="coerce")
-    except (OSError, ValueError):  # pandas raises ValueError for what is no table
-        return None
-    return log if len(log) and {"iteration", "seconds", "smoothed_psnr"} <= set(log.columns) else None
+    return [Cell(cell_folder_of(experiment, record), record) for record in records if record.failure is None]

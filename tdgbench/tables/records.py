@@ -6,13 +6,13 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from tdgbench.bench.scores import read_views
 from tdgbench.bench.signature import as_typed
+from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.key import flat
-from tdgbench.cells.paths import cell_folder_of
+from tdgbench.cells.paths import RECORD_FILE, VIEWS_FILE, cell_folder_of
 from tdgbench.cells.plan import Plan, read_plan
 from tdgbench.cells.protocol import protocols_apart
-from tdgbench.cells.record import FILE, READ_PHASE, Failure, Record, read_each
+from tdgbench.cells.record import READ_PHASE, Failure, Record, read_each
 
 UNNAMED = "single"  # `name` in conf/config.yaml: runs of any scenes, which make no table together
 
@@ -46,7 +46,7 @@ def read_results(experiment: Path) -> Results:
             by_folder[place] = record
             problems += _view_problems(folder, record)
         elif record.failure is None:
-            problem = f"{folder / FILE} is in another cell's folder; move it to {place}, or delete it"
+            problem = f"{folder / RECORD_FILE} is in another cell's folder; move it to {place}, or delete it"
             problems.append(f"{record.title}: {problem}")
             by_folder.setdefault(place, replace(record, status="failed", failure=Failure(READ_PHASE, problem, "")))
         else:
@@ -108,8 +108,10 @@ def _of_one_protocol(records: list[Record], problems: list[str]) -> list[Record]
 def _view_problems(folder: Path, record: Record) -> list[str]:
     """Return the problem of a finished cell's views.csv, if it is there but unusable."""
     try:
-        if record.failure is None and (folder / "views.csv").exists() and not read_views(folder / "views.csv"):
+        if record.failure is None and (folder / VIEWS_FILE).exists() and not CellFolder(folder, record).read_views():
             raise ValueError("it has no views")
     except ValueError as error:
-        return [f"{folder / 'views.csv'} cannot be read: {error}; its scores have no interval ({FILE} has the scores)"]
+        return [
+            f"{folder / VIEWS_FILE} cannot be read: {error}; its scores have no interval ({RECORD_FILE} has the scores)"
+        ]
     return []

@@ -10,24 +10,21 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import pandas as pd
 from skimage.metrics import structural_similarity
 
+from tdgbench.cells.folder import TARGETS, CellFolder
 from tdgbench.cells.metric_settings import metric_settings, why_no_lpips
-from tdgbench.cells.paths import files_of
 from tdgbench.cells.record import Record
-from tdgbench.cells.renders import stored_view
-from tdgbench.scenes.modalities import THERMAL
 from tdgbench.scoring import METRICS, LPIPSOptions, Scorer
-from tdgbench.scoring.lpips import Net, Range
+from tdgbench.scoring.backbones import Net
+from tdgbench.scoring.lpips import Range
 from tdgbench.scoring.metric import ImageMetric
-from tdgbench.scoring.metrics.channel_psnr import channel_psnr
-from tdgbench.scoring.metrics.psnr import psnr_of
-from tdgbench.scoring.metrics.psnr_affine import psnr_affine
+from tdgbench.scoring.metrics.psnr import channel_psnr, psnr_of
+from tdgbench.scoring.metrics.psnr_fitted import psnr_affine
 from tdgbench.scoring.scored_view import Border, Convention, ConventionName, ImagePair, NotApplicableError, at_valid
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.measures import MEASURES
@@ -110,7 +107,7 @@ def sensitivity(cells: Iterable[Cell], weights: Weights = _NO_WEIGHTS) -> pd.Dat
 def _scores(cell: Cell, weights: Weights) -> tuple[dict[tuple[str, str], float], dict[tuple[str, str], str]]:
     """Return a cell's values by score and convention, NaN where there is none, and the reasons for these."""
     values, reasons = {}, {}
-    pairs = list(stored_pairs(cell.folder, _scorer(cell.record, weights).settings))
+    pairs = list(stored_pairs(cell, _scorer(cell.record, weights).settings))
     for score, by_name in choices(cell.record, weights).items():
         for name, choice in by_name.items():
             values[score, name] = np.nan
@@ -136,13 +133,13 @@ def _order_changes(cells: list[Cell], score: str, before: np.ndarray, after: np.
     return len(pairs), int(swapped), int(best)
 
 
-def stored_pairs(folder: Path, convention: Convention) -> Iterator[ImagePair]:
+def stored_pairs(cell: CellFolder, convention: Convention) -> Iterator[ImagePair]:
     """Yield the stored thermal render and ground truth of each test view. Raises ValueError for what cannot be read."""
-    for path in sorted((folder / files_of(THERMAL).targets).glob("*.png")):
+    for view in cell.views_with(TARGETS):
         try:
-            target, image, valid = stored_view(folder, path.stem)
+            target, image, valid = cell.pictures(view)
         except (OSError, ValueError) as error:
-            raise ValueError(f"{folder}: {error}") from error
+            raise ValueError(f"{cell.folder}: {error}") from error
         inside = np.float32(1 if valid is None else valid[..., None])
         image, target = (pixels * inside / np.float32(255) for pixels in (image, target))
         yield ImagePair(image, target, convention, valid)

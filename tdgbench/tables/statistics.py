@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from tdgbench.bench.scores import read_views
+from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.paths import cell_folder_of
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import Record
@@ -83,7 +83,7 @@ def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
         described.name: np.array([described.of_record(record)]) for described in OF_RECORDS if described.in_main_table
     }
     try:
-        rows = list(read_views(cell_folder_of(experiment, record) / "views.csv").values())
+        rows = list(CellFolder(cell_folder_of(experiment, record), record).read_views().values())
     except (FileNotFoundError, ValueError):  # `read_results` reports it
         rows = []
     for metric in rows[0] if rows else []:

@@ -7,13 +7,12 @@ from dataclasses import fields
 from pathlib import Path
 from typing import NamedTuple
 
-from tdgbench.bench.scores import finite_field, read_views
-from tdgbench.cells.cameras import read_cameras
-from tdgbench.cells.read_files import read_table, read_text
-from tdgbench.cells.record import FILE, Record
-from tdgbench.cells.stored import cell_files, file_problems
+from tdgbench.cells.folder import CellFolder
+from tdgbench.cells.paths import CAMERAS_FILE, LOG_FILE, RECORD_FILE, VIEWS_FILE
+from tdgbench.cells.read_files import read_text
+from tdgbench.cells.record import Record
 from tdgbench.verify import facts
-from tdgbench.verify.pictures import StoredPictures, picture_problems
+from tdgbench.verify.pictures import check_renders, picture_problems
 from tdgbench.verify.problems import Problems
 from tdgbench.verify.scores import mask_problems, mean_problems, score_problems
 from tdgbench.verify.truth import truth_problems
@@ -21,33 +20,26 @@ from tdgbench.verify.truth import truth_problems
 UNKNOWN = {"method": "", "dataset": "", "scene": "", "init": "", "seed": 0, "experiment": "", "variant": ""}
 
 
-class StoredCell(NamedTuple):
-    """The text of a cell's record, and the record."""
+class StatedCell(NamedTuple):
+    """A cell, and the text of its record."""
 
+    cell: CellFolder
     text: str
-    record: Record
 
 
-def read_cell(folder: Path) -> StoredCell:
+def read_cell(folder: Path) -> StatedCell:
     """Read a cell's record; fields that it lacks have their defaults. Raises ValueError if it is no JSON object."""
-    text = read_text(folder / FILE)
+    text = read_text(folder / RECORD_FILE)
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ValueError(f"{FILE} is not JSON: {error}") from error
+        raise ValueError(f"{RECORD_FILE} is not JSON: {error}") from error
     if not isinstance(content, dict):
         raise ValueError("it is not a JSON object")
     known = {f.name for f in fields(Record)}
-    return StoredCell(text, Record(**{**UNKNOWN, **{k: v for k, v in content.items() if k in known}}))
-
-
-def read_log(folder: Path) -> list[dict[str, float]]:
-    """Read the rows of log.csv: iteration, seconds, loss, smoothed_psnr, gaussians. Raises ValueError for others."""
-    names = ["iteration", "seconds", "loss", "smoothed_psnr", "gaussians"]
-    rows = read_table(folder / "log.csv")
-    if not rows or rows[0][: len(names)] != names:
-        raise ValueError(f"its first line does not begin with {','.join(names)}")
-    return [{name: finite_field(text, name) for name, text in zip(names, row, strict=False)} for row in rows[1:]]
+    return StatedCell(
+        CellFolder(folder, Record(**{**UNKNOWN, **{k: v for k, v in content.items() if k in known}})), text
+    )
 
 
 def verify_cell(folder: Path, weights: Path | None = None) -> list[str]:
@@ -56,34 +48,33 @@ def verify_cell(folder: Path, weights: Path | None = None) -> list[str]:
     weights: file of LPIPS's backbone, for records of a file of their own.
     """
     problems = Problems()
-    cell = problems.read(FILE, read_cell, folder)
-    if cell is None:
+    stated = problems.read(RECORD_FILE, read_cell, folder)
+    if stated is None:
         return problems.all
-    record = cell.record
-    problems.check(f"fields of {FILE}", facts.field_problems, cell.text)
+    cell, record = stated.cell, stated.cell.record
+    problems.check(f"fields of {RECORD_FILE}", facts.field_problems, stated.text)
     problems.check("the key", facts.key_problems, record)
     if record.status == "failed":
         return problems.all
-    problems.check("its files", file_problems, folder, record.hashes)
+    problems.check("its files", cell.file_problems)
     problems.check("its settings", facts.setting_problems, record)
-    cameras = problems.read("cameras.json", read_cameras, folder)
-    rows = problems.read("views.csv", read_views, folder / "views.csv")
-    log = problems.read("log.csv", read_log, folder)
+    cameras = problems.read(CAMERAS_FILE, lambda: cell.cameras)
+    rows = problems.read(VIEWS_FILE, cell.read_views)
+    log = problems.read(LOG_FILE, cell.read_log)
     if log is not None:
-        problems.check("log.csv", facts.log_problems, record, log)
-    problems.check("its models", facts.model_problems, folder, record)
+        problems.check(LOG_FILE, facts.log_problems, record, log)
+    problems.check("its models", facts.model_problems, cell)
     problems.check("scores of training views", facts.train_score_problems, record)
     if rows is not None:
-        problems.check("means of views.csv", mean_problems, record, rows)
+        problems.check(f"means of {VIEWS_FILE}", mean_problems, record, rows)
     if cameras is None:
         return problems.all
     problems.check("the number of views", facts.view_problems, record, cameras)
-    problems.check("its pictures", picture_problems, set(cell_files(folder)), list(cameras["test"]))
+    problems.check("its pictures", picture_problems, set(cell.files()), list(cell.test_cameras))
     if rows is not None:
-        problems.check("rows of views.csv", facts.row_problems, rows, cameras["test"])
-    pictures = StoredPictures(folder, record, cameras, problems)
-    pictures.check_renders()
-    problems.check("its masks", mask_problems, record, pictures)
-    problems.check("scores", score_problems, record, rows, pictures, weights)
-    problems.check("its ground truth", truth_problems, folder, record)
+        problems.check(f"rows of {VIEWS_FILE}", facts.row_problems, rows, cell.test_cameras)
+    depths = check_renders(cell, problems)
+    problems.check("its masks", mask_problems, cell)
+    problems.check("scores", score_problems, cell, rows, depths, weights)
+    problems.check("its ground truth", truth_problems, cell)
     return problems.all

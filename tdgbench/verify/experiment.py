@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tdgbench.cells.known_classes import add_trust_arguments, trust
-from tdgbench.cells.paths import files_of
+from tdgbench.cells.paths import CAMERAS_FILE, RECORD_FILE, VIEWS_FILE, files_of
 from tdgbench.cells.plan import read_plan
-from tdgbench.cells.record import FILE, no_records, record_files
+from tdgbench.cells.record import no_records, record_files
 from tdgbench.packs import opened_pack
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
@@ -20,7 +20,7 @@ from tdgbench.verify.problems import NotCheckedError, Problems
 from tdgbench.verify.truth import data_problems, true_data
 
 MOST_SHOWN = 500  # problems on the terminal
-OF_A_CELL = (*files_of(THERMAL), "views.csv", "cameras.json")
+OF_A_CELL = (*files_of(THERMAL), VIEWS_FILE, CAMERAS_FILE)
 
 
 class Verification(NamedTuple):
@@ -92,19 +92,19 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
     with true_data(data) as true:
         for folder in (path.parent for path in records):
             found = Problems()
-            cell = found.read(FILE, read_cell, folder)
-            if cell is not None:
-                found.check("its folder", place_problems, folder, cell.record)
+            stated = found.read(RECORD_FILE, read_cell, folder)
+            if stated is not None:
+                found.check("its folder", place_problems, stated.cell)
                 found.all += [problem for problem in verify_cell(folder, weights) if problem not in found.all]
-            if cell is not None and cell.record.status == "ok":
+            if stated is not None and stated.cell.record.status == "ok":
                 finished += 1
                 try:
-                    checked += found.check("its ground truth", data_problems, folder, cell.record, true)
+                    checked += found.check("its ground truth", data_problems, stated.cell, true)
                 except NotCheckedError as reason:
                     why_not[str(reason)] = None
             name = folder.relative_to(experiment / "cells").as_posix()
             problems += [f"{name}: {problem}" for problem in found.all]
-    problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {FILE} is missing" for folder in lost]
+    problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {RECORD_FILE} is missing" for folder in lost]
     return Verification(len(records), finished, problems, checked, tuple(why_not))
 
 
@@ -114,4 +114,6 @@ def _without_record(experiment: Path) -> list[Path]:
     # at this depth alone, as a method may be `renders`
     folders = {path.parent for name in OF_A_CELL for path in cells.glob(f"*/*/*/*/*/{name}")}
     visible = [f for f in sorted(folders) if not any(part.startswith(".") for part in f.relative_to(cells).parts)]
-    return [folder for folder in visible if not (folder / FILE).exists() and not (folder / FILE).is_symlink()]
+    return [
+        folder for folder in visible if not (folder / RECORD_FILE).exists() and not (folder / RECORD_FILE).is_symlink()
+    ]

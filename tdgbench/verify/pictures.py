@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 
 import numpy as np
 
-from tdgbench.cells import masks, stored_parts
-from tdgbench.cells.cameras import Cameras
+from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.ground_truth import MAX_DIFFERENT
-from tdgbench.cells.paths import files_of
-from tdgbench.cells.record import FILE, Record
-from tdgbench.cells.renders import DETERMINACY, response_of
-from tdgbench.cells.stored_views import StoredViews, depth_of
+from tdgbench.cells.paths import DETERMINACY, MASKS, PARTS_FILE, RECORD_FILE, files_of
+from tdgbench.cells.renders import depth_of, response_of
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.splats.view import Render
 from tdgbench.verify.problems import Problems
@@ -30,7 +27,7 @@ def picture_problems(names: Iterable[str], views: list[str]) -> Iterator[str]:
     there = set(names)
     found = {
         folder: {PurePosixPath(name).name for name in there if PurePosixPath(name).parent.as_posix() == folder}
-        for folder in (*(sub for modality in LABELS for sub in files_of(modality)[1:]), masks.FOLDER, DETERMINACY)
+        for folder in (*(sub for modality in LABELS for sub in files_of(modality)[1:]), MASKS, DETERMINACY)
     }
     expected = {f"{view}.png" for view in views}
     needed = dict.fromkeys(files_of(THERMAL)[1:], expected)
@@ -60,45 +57,52 @@ def difference_of(stored: np.ndarray, image: np.ndarray) -> str:
     return f"{differs.mean():.1%} of the values differ, by up to {off.max():.1f} levels"
 
 
-class StoredPictures(StoredViews):
-    """The test views of a cell. Problems go to `problems`; what has one is left out of the scores."""
+def check_renders(cell: CellFolder, problems: Problems) -> dict[str, np.ndarray | None]:
+    """Compare the stored renders with those of the models; return the depths (H, W) of views that could be rendered."""
+    depths: dict[str, np.ndarray | None] = {}
+    for modality in LABELS:
+        files = files_of(modality)
+        if modality != THERMAL and not (cell.folder / files.renders).exists():
+            continue
+        render = problems.read(PARTS_FILE if cell.has_parts else files.model, cell.renderer, modality)
+        for view in cell.test_cameras:
+            if modality == THERMAL or cell.has(files.renders, view):
+                problems.check(f"{files.renders}/{view}.png", _render_problems, cell, modality, view, render, depths)
+    return depths
 
-    def __init__(self, folder: Path, record: Record, cameras: Cameras, problems: Problems) -> None:
-        """cameras: of all views."""
-        super().__init__(folder, record, cameras)
-        self.problems = problems
-        self.depths: dict[str, np.ndarray | None] = {}  # (H, W) float32 by view, of views that could be rendered
 
-    def check_renders(self) -> None:
-        """Compare the stored renders with those of the models, and keep the depth maps."""
-        has_parts = (self.folder / stored_parts.FILE).exists()
-        for modality in LABELS:
-            files = files_of(modality)
-            if modality != THERMAL and not (self.folder / files.renders).exists():
-                continue
-            render = self.problems.read(stored_parts.FILE if has_parts else files.model, self.renderer, modality)
-            for name in self.cameras:
-                if modality == THERMAL or self.has(files.renders, name):
-                    path = f"{files.renders}/{name}.png"
-                    stored = self.problems.read(path, self.stored, files.renders, name)
-                    if stored is not None and render is not None:
-                        self.problems.check(path, self._differences, render, modality, name, stored)
+def _render_problems(
+    cell: CellFolder,
+    modality: str,
+    view: str,
+    render_view: Callable[[str], Render] | None,
+    depths: dict[str, np.ndarray | None],
+) -> Iterator[str]:
+    """Yield how a stored render differs from the model's, both (H, W, C); add the depth of a thermal one to `depths`.
 
-    def _differences(
-        self, render_view: Callable[[str], Render], modality: str, name: str, stored: np.ndarray
-    ) -> list[str]:  # fmt: skip
-        """Say how a stored render differs from the model's. Both must be (H, W, C)."""
-        files, is_thermal = files_of(modality), modality == THERMAL
-        path = f"{files.renders}/{name}.png"
-        render = render_view(name)
-        again = render.image.numpy()
-        if is_thermal:
-            again = response_of(self.record).of(again, name)
-        if stored.shape != again.shape:
-            return [f"{path} is {stored.shape}, the model gives {again.shape}"]
-        if is_thermal:
-            self.depths[name] = depth_of(render)
-            if stored.shape[2] != self.record.channels:
-                return [f"{FILE}: channels is {self.record.channels}, {path} has {stored.shape[2]}"]
-        problem = difference_of(stored, again)
-        return [f"{path} is not what {files.model} gives: {problem}"] if problem else []
+    render_view: None if the model cannot be read, which is a problem of its own.
+    """
+    files, record = files_of(modality), cell.record
+    path, camera = f"{files.renders}/{view}.png", cell.test_cameras[view]
+    try:
+        stored = cell.picture(files.renders, view, (camera.width, camera.height))
+    except ValueError as error:
+        yield str(error)
+        return
+    if render_view is None:
+        return
+    render = render_view(view)
+    again = render.image.numpy()
+    if modality == THERMAL:
+        again = response_of(record).of(again, view)
+    if stored.shape != again.shape:
+        yield f"{path} is {stored.shape}, the model gives {again.shape}"
+        return
+    if modality == THERMAL:
+        depths[view] = depth_of(render)
+        if stored.shape[2] != record.channels:
+            yield f"{RECORD_FILE}: channels is {record.channels}, {path} has {stored.shape[2]}"
+            return
+    problem = difference_of(stored, again)
+    if problem:
+        yield f"{path} is not what {files.model} gives: {problem}"

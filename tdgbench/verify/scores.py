@@ -3,122 +3,132 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from tdgbench.bench.scores import Row
-from tdgbench.cells.masks import masked_share
+from tdgbench.cells.folder import RENDERS, TARGETS, CellFolder
+from tdgbench.cells.ground_truth import masked_share
 from tdgbench.cells.metric_settings import metric_settings, scorer_of
-from tdgbench.cells.record import FILE, Record
+from tdgbench.cells.paths import RECORD_FILE, VIEWS_FILE
+from tdgbench.cells.record import Record
 from tdgbench.scenes import Scene
-from tdgbench.scoring import METRICS, RenderedImages
+from tdgbench.scoring import METRICS, RenderedImages, Scores, mean_scores
 from tdgbench.scoring.backbones import BackboneUnavailableError
 from tdgbench.scoring.metric import ImageMetric, Metric
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
-from tdgbench.verify.pictures import StoredPictures
 
 TOLERANCE = 1e-6  # of means
 
 
-def mean_problems(record: Record, rows: dict[str, Row]) -> Iterator[str]:
+def mean_problems(record: Record, rows: dict[str, Scores]) -> Iterator[str]:
     """Yield recorded scores that are not the means of views.csv, and scores that are n/a without a reason."""
     columns = {metric for row in rows.values() for metric in row}
-    yield from (f"views.csv has no column {metric}" for metric in record.scores if metric not in columns)
-    yield from (
-        f"{FILE}: scores lacks {metric}, which views.csv has" for metric in sorted(columns - set(record.scores))
-    )
+    yield from (f"{VIEWS_FILE} has no column {metric}" for metric in record.scores if metric not in columns)
+    unknown = sorted(columns - set(record.scores))
+    yield from (f"{RECORD_FILE}: scores lacks {metric}, which {VIEWS_FILE} has" for metric in unknown)
+    means = mean_scores(rows, record.scores)
     for metric, recorded in record.scores.items():
-        values = [row[metric] for row in rows.values() if metric in row]
-        known = [value for value in values if value is not None]
-        mean = float(np.mean(known)) if known and len(known) == len(rows) else None
-        if recorded is None and mean is None and not record.missing.get(metric):
-            yield f"{FILE}: {metric} is n/a without a reason"
-        elif (recorded is None) != (mean is None) or (None not in (recorded, mean) and not _close(recorded, mean)):
-            yield f"{FILE}: {metric} is {_text(recorded)}, the mean of views.csv is {_text(mean)}"
+        mean = means[metric]
+        if recorded is None and mean is None:
+            if not record.missing.get(metric):
+                yield f"{RECORD_FILE}: {metric} is n/a without a reason"
+        elif not _is_close(recorded, mean):
+            yield f"{RECORD_FILE}: {metric} is {_text(recorded)}, the mean of {VIEWS_FILE} is {_text(mean)}"
 
 
-def mask_problems(record: Record, pictures: StoredPictures) -> Iterator[str]:
+def mask_problems(cell: CellFolder) -> Iterator[str]:
     """Yield a share of masked test pixels that is not that of the stored masks. (Training views' are not stored.)"""
-    found = masked_share(pictures.view(name) for name in pictures.cameras)
-    recorded = record.masked.get("test", 0.0)
-    if not _close(found, recorded):
-        yield f"{FILE}: masked.test is {recorded}, the cell's masks give {found}"
+    found = masked_share(cell.view(name) for name in cell.test_cameras)
+    recorded = cell.record.masked.get("test", 0.0)
+    if not _is_close(found, recorded):
+        yield f"{RECORD_FILE}: masked.test is {recorded}, the cell's masks give {found}"
 
 
 def score_problems(
-    record: Record, rows: dict[str, Row] | None, pictures: StoredPictures, weights: Path | None
+    cell: CellFolder, rows: dict[str, Scores] | None, depths: Mapping[str, np.ndarray | None], weights: Path | None
 ) -> Iterator[str]:
     """Yield scores that differ from those of the stored pictures and models.
 
-    weights: file of LPIPS's backbone, for records of a file of their own; nothing is downloaded.
-    Metrics with `verified_to` are computed again. n/a is a problem where the files alone give a value; it is none where
-    only weights of a backbone were missing.
+    depths: (H, W) by view, of views that could be rendered. weights: file of LPIPS's backbone, for records of a file of
+    their own; nothing is downloaded. Metrics with `verified_to` are computed again. n/a is a problem where the files
+    alone give a value; it is none where only weights of a backbone were missing.
     """
+    record, views = cell.record, list(cell.test_cameras)
     convention = scorer_of(metric_settings(record.setting("metrics")), weights=weights).settings
     metrics = [one for one in METRICS.values() if one.verified_to is not None and one.name in record.scores]
-    if len(pictures.depths) < len(pictures.cameras):  # reported elsewhere; neighbours and depths are not known
+    if len(depths) < len(views):  # reported elsewhere; neighbours and depths are not known
         metrics = [metric for metric in metrics if isinstance(metric, ImageMetric)]
     computed: dict[str, list[float]] = {metric.name: [] for metric in metrics}
-    scene = pictures.scene()
-    for name in pictures.cameras:
+    scene = cell.scene()
+    for view in views:
         try:
-            shown = _shown(pictures, scene, name, convention)
+            shown = _shown(cell, depths, scene, view, convention)
         except ValueError as error:
             yield str(error)
             continue
-        row = None if rows is None else rows.get(name)
+        row = None if rows is None else rows.get(view)
         for metric in metrics:
-            stored = record.scores[metric.name] if row is None else row.get(metric.name)
-            value, problem = _again(metric, shown, stored)
-            if problem:
-                yield problem
+            value = yield from _view_problems(metric, shown, row, record.scores[metric.name])
             if value is not None:
                 computed[metric.name].append(value)
-                if row is not None and (stored is None or abs(value - stored) > _tolerance(metric, stored)):
-                    yield f"views.csv: {metric.name} of {name} is {_text(stored)}, its pictures give {value:.6f}"
     for metric in metrics:
-        values, recorded = computed[metric.name], record.scores[metric.name]
-        if values and len(values) == len(pictures.cameras):
-            mean = float(np.mean(values))
-            if recorded is None or abs(mean - recorded) > _tolerance(metric, recorded):
-                yield f"{FILE}: {metric.name} is {_text(recorded)}, the pictures give {mean:.6f}"
+        mean = float(np.mean(computed[metric.name])) if len(computed[metric.name]) == len(views) > 0 else None
+        recorded = record.scores[metric.name]
+        if mean is not None and not _is_verified(metric, mean, recorded):
+            yield f"{RECORD_FILE}: {metric.name} is {_text(recorded)}, the pictures give {mean:.6f}"
 
 
-def _again(metric: Metric, shown: ScoredView, stored: float | None) -> tuple[float | None, str]:
-    """Return the value of a metric from files or None, and a problem if a stored value cannot be computed again."""
+def _view_problems(
+    metric: Metric, shown: ScoredView, row: Scores | None, recorded: float | None
+) -> Generator[str, None, float | None]:
+    """Yield problems of a metric in one view; return its value from the files, None if they give none.
+
+    row: the view's, of views.csv. recorded: mean over the views.
+    """
+    stored = recorded if row is None else row.get(metric.name)
     if stored is None:  # whether the files give it without weights, which may not have been there
         bare = Convention(shown.convention.ssim_border, partial(_unusable, "no weights"))
         shown = ScoredView(shown.view, shown.rendered, bare, shown.scene, shown.renders)
     try:
-        return metric.score(shown), ""
+        value = metric.score(shown)
     except NotApplicableError as error:
-        return None, "" if stored is None else f"{metric.name} cannot be computed again: {error}"
+        if stored is not None:
+            yield f"{metric.name} cannot be computed again: {error}"
+        return None
+    if row is not None and not _is_verified(metric, value, stored):
+        name = shown.view.name
+        yield f"{VIEWS_FILE}: {metric.name} of {name} is {_text(stored)}, its pictures give {value:.6f}"
+    return value
 
 
 def _unusable(why: str, image: np.ndarray, target: np.ndarray) -> float:
     raise BackboneUnavailableError(why)
 
 
-def _shown(pictures: StoredPictures, scene: Scene, name: str, convention: Convention) -> ScoredView:
+def _shown(
+    cell: CellFolder, depths: Mapping[str, np.ndarray | None], scene: Scene, name: str, convention: Convention
+) -> ScoredView:
     """Return a test view with its stored pictures and all views' depths. Raises ValueError for an unusable picture."""
     nothing = np.zeros((0, 0, 1), np.float32)
-    renders = {other: RenderedImages(nothing, depth) for other, depth in pictures.depths.items()}
-    camera = pictures.cameras[name]
-    depth = pictures.depths.get(name, np.zeros((camera.height, camera.width), np.float32))
-    view, rendered = pictures.view(name), pictures.rendered(name, depth)
+    renders = {other: RenderedImages(nothing, depth) for other, depth in depths.items()}
+    camera = cell.test_cameras[name]
+    depth = depths.get(name, np.zeros((camera.height, camera.width), np.float32))
+    view, rendered = cell.view(name), cell.rendered(name, depth)
     if view.thermal.shape != rendered.image.shape:
-        raise ValueError(f"targets/{name}.png is {view.thermal.shape}, renders/{name}.png {rendered.image.shape}")
+        shapes = view.thermal.shape, rendered.image.shape
+        raise ValueError(f"{TARGETS}/{name}.png is {shapes[0]}, {RENDERS}/{name}.png {shapes[1]}")
     return ScoredView(view, rendered, convention, scene, renders)
 
 
-def _tolerance(metric: Metric, value: float) -> float:
-    return (metric.verified_to or 0.0) * max(1.0, abs(value))
+def _is_verified(metric: Metric, value: float, stated: float | None) -> bool:
+    """Return whether a stated score is the value that the files give, as exactly as the metric can be verified."""
+    return stated is not None and abs(value - stated) <= (metric.verified_to or 0.0) * max(1.0, abs(stated))
 
 
-def _close(a: float | None, b: float | None) -> bool:
+def _is_close(a: float | None, b: float | None) -> bool:
     return a is not None and b is not None and math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
 
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from tdgbench.cells.cameras import read_cameras
-from tdgbench.cells.ground_truth import same_truth, stored_truth, truth_hash, truth_of
+from tdgbench.cells.folder import TARGETS, CellFolder
+from tdgbench.cells.ground_truth import same_truth, truth_hash, truth_of
 from tdgbench.cells.known_classes import built, known_classes
 from tdgbench.cells.read_files import MOST_PIXELS
 from tdgbench.cells.record import Record
@@ -37,7 +37,7 @@ class TrueData:
         self._read: dict[str, dict[str, np.ndarray]] = {}
         self._left = MOST_MADE
 
-    def of(self, record: Record) -> dict[str, np.ndarray]:
+    def truth_of(self, record: Record) -> dict[str, np.ndarray]:
         """Return the ground truth of each test view of a record's scene.
 
         Raises NotCheckedError where there are no data, ValueError or SceneError for data that cannot be read.
@@ -80,29 +80,29 @@ def true_data(folder: Path | None) -> Iterator[TrueData]:
         yield TrueData(folder, Path(scratch))
 
 
-def truth_problems(folder: Path, record: Record) -> Iterator[str]:
+def truth_problems(cell: CellFolder) -> Iterator[str]:
     """Yield test views whose stored ground truth is not the one that the record was scored against.
 
     Records of earlier versions do not say which that was.
     """
-    for view, expected in record.truth.items():
-        if truth_hash(stored_truth(folder, view)) != expected:
-            yield f"targets/{view}.png is not the ground truth that was scored"
+    for view, expected in cell.record.truth.items():
+        if truth_hash(cell.truth(view)) != expected:
+            yield f"{TARGETS}/{view}.png is not the ground truth that was scored"
 
 
-def data_problems(folder: Path, record: Record, data: TrueData) -> Iterator[str]:
-    """Yield test views whose ground truth is not that of the data. Raises as `TrueData.of`."""
-    views = list(read_cameras(folder)["test"])
+def data_problems(cell: CellFolder, data: TrueData) -> Iterator[str]:
+    """Yield test views whose ground truth is not that of the data. Raises as `TrueData.truth_of`."""
+    views = list(cell.test_cameras)
     try:
-        truth = data.of(record)
+        truth = data.truth_of(cell.record)
     except SceneError as error:
         raise ValueError(str(error)) from error
     unknown = set(views) ^ set(truth)
     if unknown:
         yield f"its test views are not those of the data: {first_few(unknown)}"
-    other = [view for view in views if view in truth and not same_truth(stored_truth(folder, view), truth[view])]
+    other = [view for view in views if view in truth and not same_truth(cell.truth(view), truth[view])]
     if other:
-        scene = f"{record.dataset}/{record.scene}"
+        scene = f"{cell.record.dataset}/{cell.record.scene}"
         yield f"the ground truth of {len(other)} of {len(views)} test views is not that of {scene}: {first_few(other)}"
 
 

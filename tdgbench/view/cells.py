@@ -9,28 +9,23 @@ from pathlib import Path
 
 import numpy as np
 
-from tdgbench.cells import stored_parts
-from tdgbench.cells.cameras import read_cameras
+from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.known_classes import UnknownMethodError
-from tdgbench.cells.paths import files_of
-from tdgbench.cells.read_files import read_picture
-from tdgbench.cells.record import FILE, Record, read_record, record_files
+from tdgbench.cells.paths import RECORD_FILE, files_of
+from tdgbench.cells.record import Record, read_record, record_files
 from tdgbench.cells.renders import response_of
-from tdgbench.cells.stored import file_problems
 from tdgbench.cells.stored_parts import StoredMethod
 from tdgbench.scenes import Camera
 from tdgbench.scenes.modalities import LABELS, THERMAL
 from tdgbench.splats import Gaussians
-from tdgbench.splats.ply import load_ply
 from tdgbench.thermal import ImageResponse
 
 
 @dataclass(frozen=True)
 class ViewedCell:
-    """A finished cell whose files are those of its record."""
+    """A cell as the viewer shows it: a finished one, whose files are those of its record, or one that is followed."""
 
-    folder: Path
-    record: Record
+    cell: CellFolder
     models: dict[str, Gaussians]  # by modality: `thermal`, and others that the method trains
     train: dict[str, Camera]  # by view
     test: dict[str, Camera]
@@ -38,14 +33,18 @@ class ViewedCell:
     state: str = ""  # of a cell that is followed, or that is not shown whole, in words
 
     @property
-    def modalities(self) -> list[str]:
-        """The modalities that can be rendered."""
-        return list(self.models) if self.method is None else list(self.method.modalities)
+    def record(self) -> Record:
+        return self.cell.record
 
     @property
     def cameras(self) -> dict[str, Camera]:
         """Cameras of all views, training views first."""
         return {**self.train, **self.test}
+
+    @property
+    def modalities(self) -> list[str]:
+        """The modalities that can be rendered."""
+        return list(self.models) if self.method is None else list(self.method.modalities)
 
     @property
     def degC(self) -> tuple[float, float] | None:
@@ -65,15 +64,13 @@ class ViewedCell:
         """
         pictures: dict[str, np.ndarray] = {}
         for modality in LABELS if view in self.test else ():
-            files = files_of(modality)
-            both = [self.folder / sub / f"{view}.png" for sub in (files.targets, files.renders)]
-            path = next((path for path in both if path.exists()), None)
-            if path is not None:
-                camera = self.test[view]
+            files, size = files_of(modality), (self.test[view].width, self.test[view].height)
+            kind = next((kind for kind in (files.targets, files.renders) if self.cell.has(kind, view)), None)
+            if kind is not None:
                 try:
-                    pictures[modality] = read_picture(path, (camera.width, camera.height))
+                    pictures[modality] = self.cell.picture(kind, view, size)
                 except (ValueError, OSError) as error:
-                    raise ValueError(f"{path} cannot be read: {error}") from error
+                    raise ValueError(f"{self.cell.folder}: {error}") from error
         return pictures
 
 
@@ -87,7 +84,7 @@ def open_cells(folders: Sequence[Path]) -> dict[str, ViewedCell]:
     for cell in cells[1:]:
         if (cell.record.dataset, cell.record.scene) != (first.record.dataset, first.record.scene):
             raise ValueError(
-                f"{cell.folder} is of scene {cell.record.scene}, {first.folder} of {first.record.scene}; "
+                f"{cell.cell.folder} is of scene {cell.record.scene}, {first.cell.folder} of {first.record.scene}; "
                 "cells side by side must be of one scene"
             )
     return dict(zip(short_names([cell.record for cell in cells]), cells, strict=True))
@@ -95,37 +92,48 @@ def open_cells(folders: Sequence[Path]) -> dict[str, ViewedCell]:
 
 def open_cell(folder: Path) -> ViewedCell:
     """Read a cell. Raises ValueError, naming the folder, if it is none, has failed, or was changed."""
-    record = None if folder.is_file() else read_record(folder)
-    if record is None:
-        state, cells = "is not there", list[Path]()
-        if folder.is_dir():
-            state, cells = "holds no record", record_files(folder)
-        elif folder.exists():
-            state = "is no folder (tdgbench unpack makes one of a pack)"
-        example = f", such as {cells[0].parent}" if cells else f", which has a {FILE}"
-        raise ValueError(f"{folder} {state}; name the folder of a cell{example}")
-    if record.status != "ok":
-        raise ValueError(f"{folder} has no model: it {record.why_failed}")
-    for problem in file_problems(folder, record.hashes):
+    cell = CellFolder(folder, _record_of(folder))
+    if cell.record.status != "ok":
+        raise ValueError(f"{folder} has no model: it {cell.record.why_failed}")
+    for problem in cell.file_problems():
         raise ValueError(f"{folder} is damaged: {problem}; run the cell again, or see tdgbench verify")
     try:
-        cameras = read_cameras(folder)
-        paths = {modality: folder / files_of(modality).model for modality in LABELS}
-        models = {modality: load_ply(path, folder) for modality, path in paths.items() if path.exists()}
-        method, state = None, ""
-        if (folder / stored_parts.FILE).exists():
-            try:
-                method = StoredMethod(folder, record, cameras)
-            except UnknownMethodError as error:
-                state = f"its Gaussians alone, not what its method renders: {error}"
+        cameras, models = cell.cameras, cell.models()
+        method, state = _method_of(cell)
     except (ValueError, OSError) as error:
         raise ValueError(f"{folder} cannot be shown: {error}") from error
+    if THERMAL not in models and method is not None:
+        raise ValueError(
+            f"{folder} cannot be shown: it lacks Gaussians: its renders are images, which the report shows"
+        )
     if THERMAL not in models or not cameras["test"]:
-        lacking = "a test view" if THERMAL in models else paths[THERMAL].name
-        if method is not None and THERMAL not in models:
-            lacking = "Gaussians: its renders are images, which the report shows"
+        lacking = "a test view" if THERMAL in models else files_of(THERMAL).model
         raise ValueError(f"{folder} cannot be shown: it lacks {lacking}")
-    return ViewedCell(folder, record, models, cameras["train"], cameras["test"], method, state)
+    return ViewedCell(cell, models, cameras["train"], cameras["test"], method, state)
+
+
+def _record_of(folder: Path) -> Record:
+    """Return the record in a folder. Raises ValueError, with an example of a cell's folder if there is one."""
+    record = None if folder.is_file() else read_record(folder)
+    if record is not None:
+        return record
+    state, cells = "is not there", list[Path]()
+    if folder.is_dir():
+        state, cells = "holds no record", record_files(folder)
+    elif folder.exists():
+        state = "is no folder (tdgbench unpack makes one of a pack)"
+    example = f", such as {cells[0].parent}" if cells else f", which has a {RECORD_FILE}"
+    raise ValueError(f"{folder} {state}; name the folder of a cell{example}")
+
+
+def _method_of(cell: CellFolder) -> tuple[StoredMethod | None, str]:
+    """Return the method of a cell with parts beside its Gaussians, else None; and why it is not shown, in words."""
+    if not cell.has_parts:
+        return None, ""
+    try:
+        return cell.method, ""
+    except UnknownMethodError as error:
+        return None, f"its Gaussians alone, not what its method renders: {error}"
 
 
 def short_names(records: Sequence[Record]) -> list[str]:

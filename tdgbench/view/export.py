@@ -10,7 +10,7 @@ import torch
 from markupsafe import Markup
 
 from tdgbench.bench import colours
-from tdgbench.cells import stored_parts
+from tdgbench.cells.paths import PARTS_FILE
 from tdgbench.cells.renders import background_of
 from tdgbench.files import write_text
 from tdgbench.report.page import environment
@@ -32,9 +32,9 @@ def export(cell: ViewedCell, path: Path, max_mb: int) -> str:
     """
     if path.suffix != ".html":
         raise ValueError(f"--export {path}: the file's name must end in .html")
-    if cell.method is not None or (cell.folder / stored_parts.FILE).exists():
+    if cell.method is not None or cell.cell.has_parts:
         raise ValueError(
-            f"{cell.folder} cannot be exported: {cell.record.method} renders more than Gaussians (parts.pt); "
+            f"{cell.cell.folder} cannot be exported: {cell.record.method} renders more than Gaussians ({PARTS_FILE}); "
             "tdgbench view without --export shows it"
         )
     words = f"{len(cell.models[THERMAL]):,} Gaussians"

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from tdgbench.cells.cameras import read_cameras
-from tdgbench.cells.paths import cell_folder_of
-from tdgbench.cells.record import FILE, read_each, read_record
+from tdgbench.cells.folder import CellFolder
+from tdgbench.cells.paths import RECORD_FILE, cell_folder_of
+from tdgbench.cells.record import read_each, read_record
 from tdgbench.cells.stored_parts import MethodInTraining
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
@@ -50,20 +50,21 @@ class Follower:
         running = {folder: read_record(folder) for folder in (self._experiment / "running").glob("[!.]*")}
         paths = {folder: self._experiment / "checkpoints" / f"{folder.name}.pt" for folder in running}
         written = {folder: path.stat().st_mtime_ns for folder, path in paths.items() if path.exists()}
-        last = None if self._cell is None else self._cell.folder
+        last = None if self._cell is None else self._cell.cell.folder
         folder = last if last in written else max(written, key=written.__getitem__, default=None)
         if folder is None:
             waiting = [f"{record.title} runs, {NO_CHECKPOINT}" for record in running.values() if record is not None]
             return self._result("; ".join(waiting))
         record = running[folder]
         if (folder, written[folder]) != self._seen and record is not None:
-            cameras = read_cameras(folder)
+            cell = CellFolder(folder, record)
+            cameras = cell.cameras
             method = MethodInTraining(paths[folder], record, cameras)
             if THERMAL not in method.models:
                 raise ValueError(f"{record.title}: iteration {method.iterations:,}, no thermal Gaussians yet")
             count, at = sum(map(len, method.models.values())), time.localtime(written[folder] / 1e9)
             state = f"iteration {method.iterations:,}, {count:,} Gaussians at {time.strftime('%H:%M:%S', at)}"
-            self._cell = ViewedCell(folder, record, method.models, cameras["train"], cameras["test"], method, state)
+            self._cell = ViewedCell(cell, method.models, cameras["train"], cameras["test"], method, state)
             self._seen = folder, written[folder]
         return self._words()
 
@@ -72,7 +73,7 @@ class Follower:
         cell = self._cell
         if cell is None:
             found = [folder for folder, record in read_each(self._experiment) if record.failure is None]
-            folder = max(found, key=lambda one: (one / FILE).stat().st_mtime, default=None)
+            folder = max(found, key=lambda one: (one / RECORD_FILE).stat().st_mtime, default=None)
             if folder is None:
                 return waiting or f"no cell of {self._experiment} runs or is finished"
         else:

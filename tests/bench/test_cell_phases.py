@@ -3,8 +3,8 @@
 import pytest
 
 from tdgbench.bench.backend_check import choose
+from tdgbench.cells.folder import hashes_of_content
 from tdgbench.cells.record import read_all
-from tdgbench.cells.stored import hashes_of_content
 from tdgbench.training import checkpoint as checkpoints
 from tests.helpers.cells import run_quietly
 from tests.helpers.configs import SMALL, config

@@ -10,10 +10,10 @@ from tdgbench.bench import cell_phases
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.run_cell import run_cell
+from tdgbench.bench.scores import render_views
+from tdgbench.cells.folder import hashes_of_content
 from tdgbench.cells.paths import cell_folder_of
 from tdgbench.cells.record import read_all
-from tdgbench.cells.renders import render_views
-from tdgbench.cells.stored import hashes_of_content
 from tdgbench.scenes import view_images
 from tdgbench.scenes.formats import decode
 from tdgbench.splats.ply import load_ply

@@ -1,11 +1,10 @@
-import csv
-
 import numpy as np
 import pytest
 from hydra.utils import instantiate
 from PIL import Image
 
-from tdgbench.bench.scores import score_training_views, score_views, write_log, write_views
+from tdgbench.bench.scores import score_training_views, score_views
+from tdgbench.cells.cell_tables import read_log, read_views, write_log, write_views
 from tdgbench.cells.record import read_all
 from tdgbench.scoring.lpips import LPIPS
 from tdgbench.training.loop import LogLine, TrainingLog
@@ -20,12 +19,8 @@ def test_scores_of_test_and_training_views(small_gray_scene, tmp_path):
     assert list(scores) == [view.name for view in small_gray_scene.test]
     train = score_training_views(trainer, small_gray_scene, scorer)
     assert set(train) == {"psnr", "ssim"} and 0 < train["psnr"] < 60
-    write_views(tmp_path / "views.csv", scores)
-    rows = list(csv.DictReader((tmp_path / "views.csv").open()))
-    assert [row["view"] for row in rows] == list(scores)
-    for row in rows:
-        assert float(row["psnr"]) == pytest.approx(scores[row["view"]]["psnr"])
-        assert row["rgb_psnr"] == "n/a"
+    write_views(tmp_path, scores)
+    assert read_views(tmp_path) == scores and {row["rgb_psnr"] for row in scores.values()} == {None}
 
 
 def test_lpips_with_the_published_backbone(tiny_cell, vgg_weights):
@@ -45,9 +40,10 @@ def test_lpips_with_the_published_backbone(tiny_cell, vgg_weights):
 
 def test_one_row_per_line_and_one_column_per_term(tmp_path):
     lines = [LogLine(1, 0.12345, 0.5, 20.0, 10, {"b": 1.0}), LogLine(2, 1.0, 0.25, 21.0, 12, {"a": 2.0, "b": 3.0})]
-    write_log(tmp_path / "log.csv", TrainingLog(lines))
+    write_log(tmp_path, TrainingLog(lines))
     assert (tmp_path / "log.csv").read_text().splitlines() == [
         "iteration,seconds,loss,smoothed_psnr,gaussians,loss_a,loss_b",
         "1,0.123,0.5,20.0,10,,1.0",
         "2,1.0,0.25,21.0,12,2.0,3.0",
     ]
+    assert [row.get("loss_a") for row in read_log(tmp_path)] == [None, 2.0]

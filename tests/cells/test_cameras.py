@@ -5,7 +5,7 @@ from tdgbench.cells.cameras import read_cameras, write_cameras
 
 
 def test_round_trip(small_scene, tmp_path):
-    write_cameras(tmp_path / "cameras.json", small_scene)
+    write_cameras(tmp_path, small_scene)
     for part, views in (("train", small_scene.train), ("test", small_scene.test)):
         found = read_cameras(tmp_path)[part]
         assert list(found) == [view.name for view in views]

@@ -12,10 +12,10 @@ import pytest
 import torch
 
 from tdgbench.cells import known_classes
+from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.key import cell_key
 from tdgbench.cells.known_classes import UnknownMethodError, built, method_of
 from tdgbench.cells.record import Record, read_record
-from tdgbench.cells.stored import hashes
 from tests.helpers.command import tdgbench, tdgbench_here
 
 CELL = "results/theirs/cells/tdg/synthetic/turntable/colmap/seed0"
@@ -35,7 +35,7 @@ def theirs(here: Path, small_results: Path, target: str, **options) -> Path:
     record = read_record(cell)
     assert record is not None
     record.config["method"]["method"] = {"_target_": target, **options}
-    record.key, record.hashes = cell_key(record), hashes(cell)
+    record.key, record.hashes = cell_key(record), hashes_below(cell)
     record.write(cell)
     return cell
 

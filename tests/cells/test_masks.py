@@ -5,15 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hydra.utils import instantiate
+from PIL import Image
 
-from tdgbench.bench.scores import score_training_views
-from tdgbench.cells.masks import has_mask, masked_in_words, masked_share, read_mask, write_mask
-from tdgbench.cells.renders import render_views, write_renders
+from tdgbench.bench.scores import render_views, score_training_views, write_renders
+from tdgbench.cells.folder import CellFolder
+from tdgbench.cells.ground_truth import masked_in_words, masked_share
 from tdgbench.priors import PriorError
 from tdgbench.scenes import SceneError
 from tdgbench.training.loop import train
 from tests.helpers.configs import config
 from tests.helpers.masks import masked_scene, with_garbage
+from tests.helpers.records import record
 from tests.helpers.training import digest, ready_to_train
 
 OFTEN = ("budget.density.start=20", "budget.density.every=20", "budget.sh_every=25")
@@ -116,10 +118,12 @@ def test_shares_and_words(small_gray_scene):
 
 def test_masks_on_disk(small_gray_scene, tmp_path):
     valid = np.random.default_rng(0).random((36, 48)) < 0.5
-    write_mask(tmp_path, "a.b", valid)
-    assert has_mask(tmp_path, "a.b") and not has_mask(tmp_path, "a")
-    assert np.array_equal(read_mask(tmp_path, "a.b", (48, 36)), valid)
+    cell = CellFolder(tmp_path, record())
+    (tmp_path / "masks").mkdir()
+    Image.fromarray(np.uint8(255) * valid).save(tmp_path / "masks" / "a.b.png")
+    assert cell.has("masks", "a.b") and not cell.has("masks", "a")
+    assert np.array_equal(cell.mask("a.b", (48, 36)), valid)
     with pytest.raises(ValueError, match=r"masks/a\.b\.png cannot be read: .*it is 48×36 px, its camera 36×48 px"):
-        read_mask(tmp_path, "a.b", (36, 48))
+        cell.mask("a.b", (36, 48))
     with pytest.raises(ValueError, match=r"masks/b\.png is missing"):
-        read_mask(tmp_path, "b")
+        cell.mask("b")

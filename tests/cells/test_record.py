@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from tdgbench import __version__
-from tdgbench.cells.record import FILE, Failure, SkipRecord, read_all, read_record, schema_problems
+from tdgbench.cells.paths import RECORD_FILE
+from tdgbench.cells.record import Failure, SkipRecord, read_all, read_record, schema_problems
 from tdgbench.training.skips import Skip
 from tests.helpers.records import record
 
@@ -16,7 +17,7 @@ def test_round_trip(tmp_path):
         scores={"psnr": 20.0, "lpips": None}, status="failed", failure=Failure("train", "boom", "…", 7, "loss")
     )
     written.write(tmp_path)
-    assert read_record(tmp_path) == written and [p.name for p in tmp_path.iterdir()] == [FILE]
+    assert read_record(tmp_path) == written and [p.name for p in tmp_path.iterdir()] == [RECORD_FILE]
 
 
 RELEASED = sorted((Path(__file__).parent / "records").glob("*/*.json"))  # as each version wrote them
@@ -24,7 +25,7 @@ RELEASED = sorted((Path(__file__).parent / "records").glob("*/*.json"))  # as ea
 
 @pytest.mark.parametrize("path", RELEASED, ids=lambda path: f"{path.parent.name} {path.stem}")
 def test_records_of_earlier_versions_can_be_read(path, tmp_path):
-    (tmp_path / FILE).write_bytes(path.read_bytes())
+    (tmp_path / RECORD_FILE).write_bytes(path.read_bytes())
     read = read_record(tmp_path)
     read.write(tmp_path)
     assert read_record(tmp_path) == read and read.status == {"finished": "ok", "failed": "failed"}[path.stem]
@@ -76,19 +77,21 @@ BROKEN = {
 def test_broken_records_are_named_and_stand_for_failed_cells(tmp_path, content):
     folder = tmp_path / "cells" / "tdg" / "synthetic" / "orbit" / "colmap" / "seed3,a=1"
     folder.mkdir(parents=True)
-    (folder / FILE).write_bytes(content if isinstance(content, bytes) else content.encode())
+    (folder / RECORD_FILE).write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(ValueError, match=r"record\.json is not a record: .*delete its folder"):
         read_record(folder)
     (stands,) = read_all(tmp_path)
     assert stands.title == "tdg on synthetic/orbit, colmap, seed 3 [a=1]" and stands.status == "failed"
-    assert stands.why_failed.startswith("its record cannot be read: ") and str(folder / FILE) in stands.why_failed
+    assert (
+        stands.why_failed.startswith("its record cannot be read: ") and str(folder / RECORD_FILE) in stands.why_failed
+    )
 
 
 @pytest.mark.parametrize(
     "make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to(path)], ids=["folder", "FIFO", "loop"]
 )
 def test_a_record_that_is_no_file_is_refused_by_its_type(tmp_path, make):
-    make(tmp_path / FILE)
+    make(tmp_path / RECORD_FILE)
     with pytest.raises(ValueError, match=r"record\.json is not a record: it (is a|cannot be read)"):
         read_record(tmp_path)
 
@@ -102,7 +105,7 @@ def test_a_skip_in_a_record_has_the_fields_of_a_skip():
 
 
 def test_the_schema_is_that_of_the_dataclass(small_results):
-    text = next((small_results / "cells").rglob(FILE)).read_text()
+    text = next((small_results / "cells").rglob(RECORD_FILE)).read_text()
     assert schema_problems(text) == []
     content = json.loads(text)
     del content["thermal_camera"]  # older records lack it

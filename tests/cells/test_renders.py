@@ -3,16 +3,12 @@ import pytest
 import torch
 from PIL import Image
 
+from tdgbench.bench.scores import render_images, render_views, write_renders
+from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.record import Record
-from tdgbench.cells.renders import (
-    blending_of,
-    render_images,
-    render_model,
-    render_views,
-    stored_determinacy,
-    write_renders,
-)
+from tdgbench.cells.renders import blending_of, render_model
 from tdgbench.splats.blending import AS_3DGS, Blending
+from tests.helpers.records import record
 from tests.helpers.training import ready_to_train
 
 
@@ -35,14 +31,15 @@ def test_pairs_of_pictures(small_scene, tmp_path):
         assert {p.name for p in (tmp_path / folder).iterdir()} == names
     target = np.asarray(Image.open(tmp_path / "targets" / f"{views[0].name}.png"))
     assert np.abs(target / 255 - views[0].thermal).max() <= 0.5 / 255 + 1e-6
+    cell = CellFolder(tmp_path, record())
     for view in views:
-        known = stored_determinacy(tmp_path, view.name)
+        known = cell.determinacy(view.name)
         assert np.abs(known - renders[view.name].determinacy).max() <= 0.5 / 255 + 1e-6 and known.max() > 0.4
     (tmp_path / "determinacy" / f"{views[0].name}.png").unlink()
     with pytest.raises(
         ValueError, match=f"determinacy/{views[0].name}.png is missing; run a cell of an earlier version again"
     ):
-        stored_determinacy(tmp_path, views[0].name)
+        cell.determinacy(views[0].name)
 
 
 def test_a_cell_of_a_gpu_is_rendered_again_with_its_constants():

@@ -10,8 +10,9 @@ import pytest
 import torch
 from plyfile import PlyData, PlyElement
 
+from tdgbench.bench.scores import render_views
 from tdgbench.bench.setup import set_up
-from tdgbench.cells.renders import render_model, render_views
+from tdgbench.cells.renders import render_model
 from tdgbench.scenes import SceneError
 from tdgbench.splats import Gaussians
 from tdgbench.splats.ply import load_ply, save_ply

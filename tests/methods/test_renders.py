@@ -12,8 +12,9 @@ import torch
 from PIL import Image
 
 from methods.renders import Renders
+from tdgbench.bench.scores import render_views
 from tdgbench.bench.setup import set_up
-from tdgbench.cells.renders import render_model, render_views
+from tdgbench.cells.renders import render_model
 from tdgbench.report.scene import scene_section
 from tdgbench.scenes import SceneError
 from tdgbench.splats.ply import load_ply
@@ -95,7 +96,7 @@ def test_the_cell_says_that_nothing_was_trained(run, tmp_path, small_gray_scene)
 
 def test_the_report_shows_the_renders_without_depth_and_curves(run, tmp_path, small_gray_scene):
     folder, record = run("renders", folder=write_arrays(small_gray_scene, tmp_path / "renders"))
-    section = scene_section(record.dataset, record.scene, [Cell(record, folder)])
+    section = scene_section(record.dataset, record.scene, [Cell(folder, record)])
     (shown,) = section["methods"]
     assert section["problems"] == [] and shown["render"] and shown["error"] and not shown["depth"]
 

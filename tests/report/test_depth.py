@@ -24,6 +24,6 @@ def test_depth_is_seen_from_the_learnt_place_of_the_thermal_camera(tmp_path, dat
     ((folder, record),) = read_each(Path(cfg.results) / cfg.name)
     name, camera = next(iter(read_cameras(folder)["test"].items()))
     from_the_given_pose = expected_depth(render_model(load_ply(folder / "model.ply"), camera, depth=True))
-    shown = depth_of(Cell(record, folder), name)
+    shown = depth_of(Cell(folder, record), name)
     assert shown.shape == from_the_given_pose.shape and not np.array_equal(shown, from_the_given_pose, equal_nan=True)
     assert np.nanmedian(np.abs(shown - from_the_given_pose) / shown) < 0.05

@@ -4,8 +4,6 @@ import io
 import numpy as np
 from PIL import Image
 
-from tdgbench.bench.scores import read_views
-from tdgbench.cells.masks import read_mask
 from tdgbench.cells.record import read_all
 from tdgbench.report.scene import scene_section
 from tdgbench.tables.cell import finished_cells
@@ -27,7 +25,7 @@ def test_the_render_is_blue_where_the_scores_say_that_it_guesses(small_results):
     cells = [c for c in finished_cells(small_results, read_all(small_results)) if c.record.scene == "turntable"]
     section = scene_section("synthetic", "turntable", cells)
     for cell, method in zip(cells, section["methods"], strict=True):
-        share = read_views(cell.folder / "views.csv")[section["view"]]["barely_seen"]
+        share = cell.read_views()[section["view"]]["barely_seen"]
         assert method["barely_seen"] == f"{share:.0%}" and 0 < share < 1
         redness = [
             np.mean(pixels[..., 0] - pixels[..., 2].astype(float))
@@ -44,7 +42,7 @@ def test_masked_pixels_are_gray_and_named(masked_results):
         f"{100 * shares['train']:.1f} % of the training and {100 * shares['test']:.1f} %"
     )
     (method,) = section["methods"]
-    valid = read_mask(cells[0].folder, section["view"])
+    valid = cells[0].mask(section["view"])
     for name in ("truth", "error"):
         pixels = shown(method[name])
         assert (pixels[~valid] == 128).all() and not (pixels[valid] == 128).all(axis=1).all(), name

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.cells.masks import write_mask
 from tdgbench.cells.paths import cell_folder_of
 from tdgbench.cells.record import Record, read_all
 from tdgbench.report.strip import draw_strip
@@ -53,7 +52,9 @@ def test_masked_pixels_are_not_drawn(tmp_path, mode):
         (folder / sub).mkdir(parents=True)
         Image.new(mode, (40, 30)).save(folder / sub / "v.png")
     assert draw_strip([done], tmp_path, tmp_path / "whole.png")
-    write_mask(folder, "v", np.arange(30 * 40).reshape(30, 40) % 40 < 20)
+    (folder / "masks").mkdir()
+    valid = np.arange(30 * 40).reshape(30, 40) % 40 < 20
+    Image.fromarray(np.uint8(255) * valid).save(folder / "masks" / "v.png")
     assert draw_strip([done], tmp_path, tmp_path / "masked.png")
     whole, masked = (np.asarray(Image.open(tmp_path / f"{name}.png").convert("L")) for name in ("whole", "masked"))
     assert whole.shape == masked.shape

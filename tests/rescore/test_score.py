@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.bench.scores import read_views
+from tdgbench.cells.cell_tables import read_views
 from tdgbench.cells.metric_settings import metric_settings, scorer_of
+from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.cells.protocol import protocol_of
-from tdgbench.cells.record import FILE, Record, read_all, read_record
+from tdgbench.cells.record import Record, read_all, read_record
 from tdgbench.packs import pack
 from tdgbench.rescore import cell as rescore_cell
 from tdgbench.rescore.command import main, read_options
@@ -54,7 +55,7 @@ def score(experiment: Path, name: str, *options: str) -> int:
 
 
 def numbers(folder: Path) -> dict[str, dict[str, float | None]]:
-    return read_views(folder / "views.csv")
+    return read_views(folder)
 
 
 def test_it_gives_what_a_training_gives(data_root, tmp_path):
@@ -156,9 +157,9 @@ def test_with_another_number_all_is_computed_from_the_files(msmg, monkeypatch):
 
 def test_of_other_programs_renders_there_is_no_model(msmg, monkeypatch):
     folder = msmg / MSMG
-    content = json.loads((folder / FILE).read_text())
+    content = json.loads((folder / RECORD_FILE).read_text())
     content["parts"] = {}
-    (folder / FILE).write_text(json.dumps(content))
+    (folder / RECORD_FILE).write_text(json.dumps(content))
     monkeypatch.setitem(METRICS, "mean_depth", brightness("mean_depth", ViewMetric))
     assert score(msmg, "b") == 0
     after = record_of(msmg.with_name("b") / MSMG)
@@ -181,13 +182,13 @@ def test_changed_renders_are_refused(experiment, capsys):
 
 def test_another_training_is_not_replaced(msmg, capsys):
     other = Path(shutil.copytree(msmg, msmg.with_name("b")))
-    content = json.loads((other / MSMG / FILE).read_text())
+    content = json.loads((other / MSMG / RECORD_FILE).read_text())
     content["hashes"]["model.ply"] = "0" * 64
-    (other / MSMG / FILE).write_text(json.dumps(content))
-    before = (other / MSMG / FILE).read_bytes()
+    (other / MSMG / RECORD_FILE).write_text(json.dumps(content))
+    before = (other / MSMG / RECORD_FILE).read_bytes()
     assert score(msmg, "b", OFFLINE) == 1
     assert "holds another training; name a new folder" in capsys.readouterr().out
-    assert (other / MSMG / FILE).read_bytes() == before
+    assert (other / MSMG / RECORD_FILE).read_bytes() == before
 
 
 def test_weights_that_were_replaced_are_refused(msmg, capsys, monkeypatch):

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.record import read_all
-from tdgbench.cells.stored import hashes
 from tdgbench.packs import pack
 from tdgbench.site.command import main
 from tdgbench.tables.long_table import metric_value
@@ -158,7 +158,7 @@ def test_a_page_of_many_methods_has_at_most_a_megabyte(tmp_path):
             (folder / sub).mkdir()
             Image.fromarray(rng.integers(0, 255, (480, 640), np.uint8)).save(folder / sub / "view.png")
         record = next(r for r in read_all(tmp_path / "many") if r.method == f"method{index}")
-        record.hashes = hashes(folder)
+        record.hashes = hashes_below(folder)
         record.write(folder)
     made = make(tmp_path / "site", pack(tmp_path / "many")[0])
     weights = {path.name: weight(path, page) for path, page in pages(made).items()}

@@ -10,8 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.cells.plan import Plan
-from tdgbench.cells.record import FILE, Failure
+from tdgbench.cells.record import Failure
 from tdgbench.scenes import Description
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.command import main
@@ -78,7 +79,7 @@ def values(experiment: Path, metric: str = "psnr") -> dict[str, float]:
     ids=["object", "bytes", "deep", "folder", "FIFO", "loop", "infinite", "text", "no time"],
 )  # fmt: skip
 def test_a_broken_record_is_na_with_its_reason(experiment, capsys, spoil):
-    path = cell_of(experiment, "night") / FILE
+    path = cell_of(experiment, "night") / RECORD_FILE
     spoil(path)
     found = values(experiment)
     assert found["orbit"] == 21.0 and np.isnan(found["night"]) and np.isnan(found["Average"])
@@ -142,7 +143,7 @@ def test_broken_scores_of_views_leave_their_interval_out(experiment, content):
 
 def test_settings_of_any_type_do_not_end_the_tables(experiment):
     for scene, config in (("orbit", {"budget": [1]}), ("night", {"budget": {"iterations": "9"}})):
-        path = cell_of(experiment, scene) / FILE
+        path = cell_of(experiment, scene) / RECORD_FILE
         content = {
             **json.loads(path.read_text()),
             "config": config,
@@ -156,7 +157,7 @@ def test_settings_of_any_type_do_not_end_the_tables(experiment):
 
 
 def test_claims_go_on_without_a_broken_record(experiment, capsys):
-    (cell_of(experiment, "night") / FILE).write_text("{}")
+    (cell_of(experiment, "night") / RECORD_FILE).write_text("{}")
     assert main(["claims", str(experiment)]) == 1
     assert "undecided" in (printed := capsys.readouterr().out) and "problem: its record cannot be read" in printed
 

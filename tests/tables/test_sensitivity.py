@@ -12,7 +12,7 @@ from PIL import Image
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from skimage.transform import downscale_local_mean
 
-from tdgbench.cells.record import FILE
+from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.tables.cell import finished_cells
 from tdgbench.tables.command import main
 from tdgbench.tables.records import read_results
@@ -155,8 +155,8 @@ def test_cells_of_several_conventions_are_refused(tmp_path, capsys):
 
 def test_a_folder_without_cells_is_refused(tmp_path, capsys):
     folder = cell(tmp_path / "x", "tdg", [2.0])
-    record = json.loads((folder / FILE).read_text())
-    (folder / FILE).write_text(
+    record = json.loads((folder / RECORD_FILE).read_text())
+    (folder / RECORD_FILE).write_text(
         json.dumps(record | {"status": "failed", "failure": {"phase": "train", "error": "x", "traceback": ""}})
     )
     assert main(["sensitivity", str(tmp_path / "x")]) == 1
@@ -165,9 +165,9 @@ def test_a_folder_without_cells_is_refused(tmp_path, capsys):
 
 def test_a_record_without_metrics_is_one_error(tmp_path, capsys):
     folder = cell(tmp_path / "x", "tdg", [2.0])
-    record = json.loads((folder / FILE).read_text())
+    record = json.loads((folder / RECORD_FILE).read_text())
     del record["config"]["metrics"]
-    (folder / FILE).write_text(json.dumps(record))
+    (folder / RECORD_FILE).write_text(json.dumps(record))
     assert main(["sensitivity", str(tmp_path / "x")]) == 1
     assert "metrics" in capsys.readouterr().err
 

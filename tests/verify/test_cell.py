@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.key import cell_key
 from tdgbench.cells.record import Record
-from tdgbench.cells.stored import hashes
 from tdgbench.files import sha256_of
 from tdgbench.scoring import backbones
 from tdgbench.verify import verify_cell
@@ -256,7 +256,7 @@ def test_an_untouched_cell_has_no_problem(cell):
 def test_tampering_is_found(cell, tamper, problem, rehash):
     tamper(cell)
     if rehash:
-        edit(hashes=hashes(cell))(cell)
+        edit(hashes=hashes_below(cell))(cell)
     problems = verify_cell(cell)
     assert problem in "\n".join(problems)
     assert all(len(one) < 400 and "\n" not in one and "Traceback" not in one for one in problems)

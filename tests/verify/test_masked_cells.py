@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.cells.masks import read_mask
+from tdgbench.cells.folder import CellFolder, hashes_below
 from tdgbench.cells.record import read_record
-from tdgbench.cells.stored import hashes
 from tdgbench.verify import verify, verify_cell
 
 
@@ -30,7 +29,7 @@ def pictures(cell: Path, sub: str) -> dict[str, np.ndarray]:
 def rehash(cell: Path, **changes) -> None:
     """Let the record fit what was changed."""
     content = json.loads((cell / "record.json").read_text())
-    (cell / "record.json").write_text(json.dumps({**content, **changes, "hashes": hashes(cell)}))
+    (cell / "record.json").write_text(json.dumps({**content, **changes, "hashes": hashes_below(cell)}))
 
 
 def test_sound_cells(masked_results):
@@ -54,7 +53,7 @@ def test_scores_are_those_of_valid_pixels(cell):
     with (cell / "views.csv").open(newline="") as file:
         rows = {row["view"]: row for row in csv.DictReader(file)}
     record, renders, targets = read_record(cell), pictures(cell, "renders"), pictures(cell, "targets")
-    masks = {name: read_mask(cell, name) for name in pictures(cell, "masks")}
+    masks = {name: CellFolder(cell, read_record(cell)).mask(name) for name in pictures(cell, "masks")}
     assert masks and set(masks) < set(rows)
     low, high = record.temperature_range
     for name, mask in masks.items():

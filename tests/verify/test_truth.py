@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.cells.ground_truth import same_truth, stored_truth, truth_hash, truth_hashes
+from tdgbench.cells.folder import CellFolder, hashes_below
+from tdgbench.cells.ground_truth import same_truth, truth_hash, truth_hashes
 from tdgbench.cells.record import read_record
-from tdgbench.cells.stored import hashes
 from tdgbench.compare.command import main as compare
 from tdgbench.packs import pack
 from tdgbench.scoring.metrics.psnr import psnr_of
@@ -46,8 +46,8 @@ def forge(cell: Path) -> None:
     (cell / "views.csv").write_text("\n".join(",".join(row) for row in table) + "\n")
     content = json.loads((cell / "record.json").read_text())
     content["scores"]["psnr"] = float(np.mean([*scores.values()]))
-    content["truth"] = {view: truth_hash(stored_truth(cell, view)) for view in scores}
-    (cell / "record.json").write_text(json.dumps({**content, "hashes": hashes(cell)}))
+    content["truth"] = {view: truth_hash(CellFolder(cell, read_record(cell)).truth(view)) for view in scores}
+    (cell / "record.json").write_text(json.dumps({**content, "hashes": hashes_below(cell)}))
 
 
 def test_a_forged_truth_is_found_by_the_data(forged):

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.read_files import read_picture
 from tdgbench.cells.record import Record, read_record
-from tdgbench.cells.stored import hashes
 from tdgbench.view.cells import open_cell, open_cells, short_names
 
 
@@ -47,7 +47,7 @@ def rehashed(folder: Path, change) -> Path:
     """Change a cell, and make the record's hashes fit."""
     change(folder)
     record = read_record(folder)
-    record.hashes = hashes(folder)
+    record.hashes = hashes_below(folder)
     record.write(folder)
     return folder
 

@@ -11,7 +11,7 @@ import urllib.request
 
 import pytest
 
-from tdgbench.cells.stored import hashes
+from tdgbench.cells.folder import hashes_below
 from tdgbench.view.command import has_screen, main
 from tests.helpers.paths import ROOT
 
@@ -51,7 +51,7 @@ def test_an_address_that_cannot_be_served(tdg_folder, capsys):
 
 def test_ctrl_c_ends_it_in_one_line(tdg_folder, data_root, tmp_path):
     pytest.importorskip("viser")
-    before = hashes(tdg_folder)
+    before = hashes_below(tdg_folder)
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
     words = [str(tdg_folder), "--no-open", "--port", "0"]
     run = subprocess.Popen(
@@ -69,7 +69,7 @@ def test_ctrl_c_ends_it_in_one_line(tdg_folder, data_root, tmp_path):
     finally:
         run.kill()
     assert (run.returncode, out, err) == (130, "", f"loading {tdg_folder}\ninterrupted by SIGINT\n")
-    assert hashes(tdg_folder) == before and list(tmp_path.iterdir()) == []
+    assert hashes_below(tdg_folder) == before and list(tmp_path.iterdir()) == []
 
 
 def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch):

@@ -29,7 +29,7 @@ def camera(renderer):
 
 def stored(renderer, name: str, folder: str) -> np.ndarray:
     cell = renderer.cells[name]
-    return read_picture(cell.folder / folder / f"{next(iter(cell.test))}.png")
+    return read_picture(cell.cell.folder / folder / f"{next(iter(cell.test))}.png")
 
 
 @pytest.mark.parametrize(

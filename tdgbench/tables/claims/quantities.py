@@ -61,7 +61,7 @@ def _inconsistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float
     Some views overlap with no other one, and some are off by a hundred times the median view. None for scenes with true
     depth, where the error against it is the better measure.
     """
-    a, b = mine.views(), other.views()
+    a, b = mine.views, other.views
     known = any(cell.record.scores.get("depth_abs_rel") is not None for cell in (mine, other))
     if known or a is None or b is None:
         return None
@@ -87,7 +87,7 @@ def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[f
     The level lies `level` (0 to 1) of the way from the start of the runs to the worse run's best. column: `iteration`
     or `seconds`. PSNR is the log's, smoothed over views. None without logs, or if the worse run never improves.
     """
-    a, b = mine.log(), other.log()
+    a, b = mine.log, other.log
     if a is None or b is None:
         return None
     curves = a["smoothed_psnr"], b["smoothed_psnr"]
@@ -130,7 +130,7 @@ def _around_switch(cell: Cell, window: float, column: str) -> tuple[pd.Series, p
 
     None without a log, without an end of the depth loss, or with an empty window.
     """
-    log = cell.log()
+    log = cell.log
     share = cell.record.setting("method.method.decay_end")
     if log is None or not isinstance(share, int | float) or column not in log:
         return None

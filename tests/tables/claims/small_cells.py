@@ -34,7 +34,7 @@ def cell(folder: Path, method="tdg", gain=0.0, *, scene="a", seed=0, init="colma
     write_log(place, gain, iterations)
     views = pd.DataFrame({"view": ["v1", "v2"], "depth_inconsistency": [0.1 * less, "n/a"]})
     views.to_csv(place / "views.csv", index=False)
-    return Cell(record, place)
+    return Cell(place, record)
 
 
 def write_log(folder: Path, gain: float, iterations: int) -> None:
@@ -43,6 +43,13 @@ def write_log(folder: Path, gain: float, iterations: int) -> None:
     psnr = 10 + 20 * (1 - np.exp(-iteration / iterations * 10 * 2**gain)) - at_switch * (1 - gain)
     loss = 0.01 * (1 + at_switch * 0.5**gain)
     log = pd.DataFrame(
-        {"iteration": iteration, "seconds": iteration / 100, "smoothed_psnr": psnr, "loss_thermal": loss}
+        {
+            "iteration": iteration,
+            "seconds": iteration / 100,
+            "loss": loss,
+            "smoothed_psnr": psnr,
+            "gaussians": 9,
+            "loss_thermal": loss,
+        }  # fmt: skip
     )
     log.to_csv(folder / "log.csv", index=False)

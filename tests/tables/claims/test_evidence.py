@@ -89,4 +89,4 @@ def test_a_cell_has_its_log(tmp_path):
     write_log(write(tmp_path), gain=0.0, iterations=1000)
     write(tmp_path, seed=1)
     first, second = evidence_of([tmp_path]).cells
-    assert len(first.log()) == 200 and second.log() is None
+    assert len(first.log) == 200 and second.log is None

@@ -14,12 +14,12 @@ def with_log(folder, name, psnr, loss=None, decay_end=0.5):
     """A cell of 100 iterations, ten lines apart."""
     (folder / name).mkdir()
     log = pd.DataFrame({"iteration": range(10, 10 * len(psnr) + 1, 10), "smoothed_psnr": psnr})
-    log["seconds"] = log["iteration"] / 5
+    log = log.assign(seconds=log["iteration"] / 5, loss=1, gaussians=9)
     log["loss_thermal"] = 0.1 if loss is None else loss
     log.to_csv(folder / name / "log.csv", index=False)
     record = Record("tdg", "d", "s", "colmap", 0, "e", "", iterations=100)
     record.config = {"budget": {"iterations": 100}, "method": {"method": {"decay_end": decay_end}}}
-    return Cell(record, folder / name)
+    return Cell(folder / name, record)
 
 
 def test_the_level_is_part_of_the_way_to_the_worse_runs_best(tmp_path):
@@ -33,11 +33,11 @@ def test_the_level_is_part_of_the_way_to_the_worse_runs_best(tmp_path):
 def test_without_a_level_there_is_no_progress(tmp_path):
     fast = with_log(tmp_path, "fast", [10, 20])
     assert time_to_level(fast, with_log(tmp_path, "flat", [10, 9]), CLAIM, "iteration") is None
-    assert time_to_level(fast, Cell(fast.record, tmp_path / "nothing"), CLAIM, "iteration") is None
+    assert time_to_level(fast, Cell(tmp_path / "nothing", fast.record), CLAIM, "iteration") is None
 
 
 def test_a_level_reached_at_once_and_never(tmp_path):
-    log = with_log(tmp_path, "x", [10, 20]).log()
+    log = with_log(tmp_path, "x", [10, 20]).log
     assert first_at(log, 5.0, "iteration") == 10
     assert first_at(log.assign(psnr=log["smoothed_psnr"] + 10), 25.0, "smoothed_psnr", "psnr") == 15.0
     with pytest.raises(ValueError, match=r"never reaches 50\.00 dB; it ends at 20\.00 dB"):
@@ -63,4 +63,4 @@ def test_the_switch_is_that_of_a_budget_that_expects_an_early_end(tmp_path):
 def test_without_a_switch_there_is_no_shock(tmp_path):
     assert psnr_drop(with_log(tmp_path, "x", [1, 2, 3], decay_end=None), CLAIM) is None
     cell = with_log(tmp_path, "y", [1, 2, 3])
-    assert loss_rise(Cell(cell.record, tmp_path / "nothing"), CLAIM) is None
+    assert loss_rise(Cell(tmp_path / "nothing", cell.record), CLAIM) is None

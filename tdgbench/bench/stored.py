@@ -1,27 +1,17 @@
-"""A cell's folder on disk: hashes of its files, its record or that of a failure, and a result that a failure hid."""
+"""What a run keeps in a cell's folder: the record of a failure, and a result that a failure hid."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
+from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.key import as_json
 from tdgbench.cells.paths import hidden_folder
-from tdgbench.cells.record import FILE, Failure, Record, read_record, record_files
-from tdgbench.files import put_in_place, sha256_of, whole_folder
-
-OF_TIMES = ("log.csv",)  # hold times, so that they differ between equal trainings
-
-
-def readable_record(folder: Path) -> Record | None:
-    """Return the record in a folder; None if there is none, or if it is broken and the cell has to run again."""
-    try:
-        return read_record(folder)
-    except ValueError:
-        return None
+from tdgbench.cells.record import Failure, Record, readable_record, record_files
+from tdgbench.files import put_in_place, whole_folder
 
 
 def write_failure(folder: Path, record: Record, failure: Failure) -> None:
@@ -54,7 +44,7 @@ def restore(folder: Path, record: Record, existing: Record | None) -> bool:
         return False
     if existing is not None and existing.key == record.key:
         return False
-    if not kept.hashes or not kept.hashes.items() <= hashes(hidden).items():
+    if not kept.hashes or not kept.hashes.items() <= hashes_below(hidden).items():
         return False
     put_in_place(hidden, folder)
     return True
@@ -71,39 +61,3 @@ def stored_in_words(experiment: Path) -> str:
             written.append(path.stat().st_mtime)
     state = f" and a checkpoint of {max(0, time.time() - max(written)):.0f} s ago" if written else ""
     return f"{experiment} keeps {cells}{state}; the same command goes on from there"
-
-
-def cell_files(folder: Path) -> dict[str, Path]:
-    """Return everything below a cell's folder but its record and folders, by relative path. Links are not followed."""
-    found = [path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir()]
-    return {path.relative_to(folder).as_posix(): path for path in found if path != folder / FILE}
-
-
-def hashes(folder: Path) -> dict[str, str]:
-    """Return SHA-256 of every file below a cell's folder but its record, by relative path."""
-    return {name: sha256_of(path, folder) for name, path in cell_files(folder).items()}
-
-
-def hashes_of_content(recorded: dict[str, str]) -> dict[str, str]:
-    """Return those of a record's hashes that equal trainings share.
-
-    >>> hashes_of_content({"model.ply": "ab", "log.csv": "cd"})
-    {'model.ply': 'ab'}
-    """
-    return {name: value for name, value in recorded.items() if name not in OF_TIMES}
-
-
-def file_problems(folder: Path, recorded: dict[str, str], others: bool = True) -> Iterator[str]:
-    """Yield files that are missing, unknown to the record, changed, or no files; those are never opened.
-
-    others: whether files that the record does not know are problems.
-    """
-    actual = cell_files(folder)
-    yield from (f"{name} is missing" for name in sorted(set(recorded) - set(actual)))
-    yield from (f"{name} is not in the record" for name in sorted(set(actual) - set(recorded)) if others)
-    for name in sorted(set(actual) & set(recorded)):
-        try:
-            if sha256_of(actual[name], folder) != recorded[name]:
-                yield f"{name} has changed"
-        except (OSError, ValueError) as error:
-            yield f"{name} cannot be read: {error}"
