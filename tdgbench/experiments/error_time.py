@@ -15,19 +15,21 @@ from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BaseModel, Field, PositiveFloat
 
+from tdgbench.bench.assumed import state_assumptions, state_values
 from tdgbench.bench.options import OptionError
 from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.bench.signature import Problem
 from tdgbench.cells.paths import prior_cache
+from tdgbench.cells.record import Record
 from tdgbench.experiments.experiment import Experiment, error_message, prepare_prior
-from tdgbench.files import write_text
+from tdgbench.experiments.matrix import write_tables
 from tdgbench.report.figures import plain, save_figure
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
-from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.claims.quantities import first_at
+from tdgbench.tables.palette import COLUMN, image_values
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 from tdgbench.training.budget import Budget
@@ -80,12 +82,12 @@ class ErrorTime(Experiment):
         folder = Path(cfg.results) / cfg.name
         curves, failed = sample_all(cfg)
         if not curves.empty:
-            folder.mkdir(parents=True, exist_ok=True)
-            write_text(folder / "curves.csv", as_csv(curves, na_rep="n/a"))
             first, *others = [run.label for run in runs_of(cfg)]
             savings = faster_by(curves, first, others)
-            write_text(folder / "faster.csv", as_csv(savings, na_rep="n/a"))
-            shown = {name: (name, "{}" if name in ("scene", "label") else "{:.3g}") for name in savings}
+            write_tables(folder, {"curves": curves, "faster": savings})
+            shown = {
+                name: (name, "{}" if name in ("scene", "label") else "{:.3g}") for name in savings if name != COLUMN
+            }
             show_table(format_columns(savings, shown), f"time saved against {first}")
             draw_curves(curves, folder / "curves.png")
             say(f"tables and pictures: {folder}")
@@ -135,7 +137,7 @@ def sample_all(cfg: DictConfig) -> tuple[pd.DataFrame, int]:
             end = curve.iloc[-1]
             reached = f"{end.psnr:.2f} dB after {end.iteration} iterations and {end.seconds:.1f} s"
             say(f"{end.scene}, {run.label}: {reached}")
-    columns = ["scene", "label", "iteration", "seconds", "processor_seconds", "gaussians", *CURVE_METRICS]
+    columns = ["scene", "label", "iteration", "seconds", "processor_seconds", "gaussians", *CURVE_METRICS, COLUMN]
     return (pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(columns=columns)), failed
 
 
@@ -157,6 +159,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
     priors = prior_cache(Path(cfg.results))
     trainer, scene, response = set_up(cfg, scene, method=unready, skips=skips, prior_cache=priors)
     scorer: Scorer = instantiate(cfg.metrics)
+    values = _values_of(scene)
     sampled = _sampled_iterations(trainer.whole_context.budget, samples)
     rows: list[dict[str, Any]] = []
 
@@ -173,11 +176,20 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int
                 "processor_seconds": log.processor_seconds,
                 "gaussians": sum(len(model) for model in trainer.gaussians.values()),
                 **{m: scores[m] for m in CURVE_METRICS},
+                COLUMN: values,
             }
         )
 
     train(trainer, before_update=sample)
     return pd.DataFrame(rows)
+
+
+def _values_of(scene: Scene) -> str:
+    """Return `image_values` of scores on a scene."""
+    record = Record("", scene.dataset, scene.name, "", 0, "", "", channels=scene.channels)  # type: ignore[arg-type]
+    state_assumptions(record, scene)
+    state_values(record, scene)
+    return image_values([record])
 
 
 def _sampled_iterations(budget: Budget, samples: int) -> set[int]:
@@ -214,6 +226,7 @@ def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.Data
                     "equal quality": 1 - reached[0] / reached[1],
                     "that quality (dB)": quality,
                     "dB more at equal time": there[0] - there[1],
+                    COLUMN: group[COLUMN].iloc[0],
                 }
             )
     return pd.DataFrame(rows)

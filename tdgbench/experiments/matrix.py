@@ -1,10 +1,8 @@
-"""Cells over named axes: each combination of one choice per axis is a cell, which runs as a sweep's cells do.
-
-An experiment with a matrix states its axes, the numbers of its table, and its figures.
-"""
+"""Experiments over named axes: each combination of one choice per axis is a cell, which runs as a sweep's cells do."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -19,14 +17,17 @@ from tdgbench.bench.outcome import SUCCESS, Outcome, finished_records
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.run_cell import run_cell
 from tdgbench.cells.record import Record
+from tdgbench.experiments.experiment import Experiment
+from tdgbench.files import write_text
+from tdgbench.tables.as_csv import as_csv
+from tdgbench.tables.palette import COLUMN, image_values
 from tdgbench.terminal import console, say
 
 
 @dataclass(frozen=True)
 class MatrixOptions:
-    """Options in `cfg.study` of every matrix: its axes `scene` and `seed`, which the experiment `sets`."""
+    """Options in `cfg.study` of every matrix: its axes `scene` and `seed`."""
 
-    SETS: ClassVar = {"scene": "study.scenes=[NAME,...]", "seed": "study.seeds=[0,...]"}
     scenes: Annotated[list[str | None], Field(min_length=1)]  # None: the only one
     seeds: Annotated[list[NonNegativeInt], Field(min_length=1)]
 
@@ -49,6 +50,70 @@ class MatrixCell(NamedTuple):
     cfg: DictConfig
     outcome: Outcome
     record: Record | None
+
+
+class Matrix(Experiment):
+    """Cells over named axes, and tables of their numbers.
+
+    A subclass states its axes and tables. missing: what the tables say for a missing number.
+    """
+
+    one_job = True
+    sets: ClassVar[Mapping[str, str]] = {"scene": "study.scenes=[NAME,...]", "seed": "study.seeds=[0,...]"}
+    missing: ClassVar[str] = "n/a"
+
+    @abstractmethod
+    def axes(self, cfg: DictConfig) -> Axes:
+        """Return the axes by name, `scene` among them; cells run in the order of their product."""
+
+    def is_cell(self, labels: Mapping[str, Any]) -> bool:
+        """Return whether a combination of choices, by axis, is a cell; by default each one is."""
+        return True
+
+    @abstractmethod
+    def tables(self, cfg: DictConfig, cells: Sequence[MatrixCell]) -> dict[str, pd.DataFrame]:
+        """Return the tables by the names of their files; none where there is nothing to tell."""
+
+    @abstractmethod
+    def show(self, table: pd.DataFrame) -> None:
+        """Print the first of the tables."""
+
+    def run(self, cfg: DictConfig) -> None:
+        """Run the cells that have no result; write and print the tables. Raises SystemExit(1) if a cell failed."""
+        self.check(cfg)
+        cells = self.run_cells(cfg)
+        tables = self.tables(cfg, cells)
+        if tables:
+            write_tables(Path(cfg.results) / cfg.name, tables, self.missing)
+            self.show(next(iter(tables.values())))
+            say(f"tables: {', '.join(str(Path(cfg.results) / cfg.name / f'{name}.csv') for name in tables)}")
+        if any(cell.outcome.status not in SUCCESS for cell in cells):
+            raise SystemExit(1)
+
+    def run_cells(self, cfg: DictConfig) -> list[MatrixCell]:
+        """Run the cells that have no result, the last axis first; print one line for each, and why one failed."""
+        axes, ran = self.axes(cfg), []
+        for choices in product(*axes.values()):
+            labels = dict(zip(axes, (choice.label for choice in choices), strict=True))
+            if not self.is_cell(labels):
+                continue
+            cell = configured(cfg, choices)
+            progress = CellProgress(console(stderr=True), cell.budget.iterations)
+            outcome = run_cell(cell, ",".join(choice.variant for choice in choices if choice.variant), progress)
+            say(outcome.line, stderr=True)
+            if outcome.status not in SUCCESS:
+                say(f"{outcome.title}: {outcome.message}", f"{outcome.status}:")
+            ran.append((labels, cell, outcome))
+        finished = finished_records(Path(cfg.results) / cfg.name, [outcome for *_, outcome in ran])
+        records = {record.title: record for record in finished}
+        return [MatrixCell(labels, cell, outcome, records.get(outcome.title)) for labels, cell, outcome in ran]
+
+
+def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame], missing: str = "n/a") -> None:
+    """Write tables as CSV files of these names. missing: what stands for a missing number."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, table in tables.items():
+        write_text(folder / f"{name}.csv", as_csv(table, na_rep=missing))
 
 
 def values_of(option: str, values: Iterable[Any]) -> list[AxisValue]:
@@ -81,34 +146,17 @@ def configured(cfg: DictConfig, choices: Iterable[AxisValue]) -> DictConfig:
     return cell
 
 
-def run_cells(cfg: DictConfig, axes: Axes) -> list[MatrixCell]:
-    """Run the cells that have no result, the last axis first; print one line for each, and why one failed."""
-    ran = []
-    for choices in product(*axes.values()):
-        cell = configured(cfg, choices)
-        progress = CellProgress(console(stderr=True), cell.budget.iterations)
-        outcome = run_cell(cell, ",".join(choice.variant for choice in choices if choice.variant), progress)
-        say(outcome.line, stderr=True)
-        if outcome.status not in SUCCESS:
-            say(f"{outcome.title}: {outcome.message}", f"{outcome.status}:")
-        ran.append((dict(zip(axes, (choice.label for choice in choices), strict=True)), cell, outcome))
-    finished = finished_records(Path(cfg.results) / cfg.name, [outcome for *_, outcome in ran])
-    records = {record.title: record for record in finished}
-    return [MatrixCell(labels, cell, outcome, records.get(outcome.title)) for labels, cell, outcome in ran]
-
-
-def check_all_ran(cells: Iterable[MatrixCell]) -> None:
-    """Raise SystemExit(1) if a cell failed."""
-    if any(cell.outcome.status not in SUCCESS for cell in cells):
-        raise SystemExit(1)
-
-
 def table_of(cells: Iterable[MatrixCell], numbers: Callable[[Record], Mapping[str, Any]]) -> pd.DataFrame:
-    """Return one row per finished cell: a column per axis, then the numbers. A scene has the name in its record."""
+    """Return one row per finished cell: a column per axis, the numbers, `image_values`."""
     return pd.DataFrame(
         [
-            {**cell.labels, "scene": cell.record.scene, **numbers(cell.record)}
+            {**cell.labels, "scene": one.scene, **numbers(one), COLUMN: image_values([one])}
             for cell in cells
-            if cell.record is not None
+            if (one := cell.record) is not None
         ]
     )
+
+
+def image_values_of(cells: Iterable[MatrixCell]) -> str:
+    """Return `image_values` of a number over the finished ones of these cells."""
+    return image_values(cell.record for cell in cells if cell.record is not None)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,12 +13,19 @@ from omegaconf import DictConfig
 from tdgbench.bench.options import OptionError
 from tdgbench.bench.signature import Problem
 from tdgbench.cells.record import Record
-from tdgbench.experiments.experiment import Experiment, prepare_prior
-from tdgbench.experiments.matrix import Axes, AxisValue, MatrixOptions, check_all_ran, run_cells, table_of, values_of
-from tdgbench.files import write_text
-from tdgbench.tables.as_csv import as_csv
+from tdgbench.experiments.experiment import prepare_prior
+from tdgbench.experiments.matrix import (
+    Axes,
+    AxisValue,
+    Matrix,
+    MatrixCell,
+    MatrixOptions,
+    image_values_of,
+    table_of,
+    values_of,
+)
+from tdgbench.tables.palette import COLUMN
 from tdgbench.tables.show import format_columns, show_table
-from tdgbench.terminal import say
 from tdgbench.training.budget import SKIP_RULES as RULES
 from tdgbench.training.skips import SWITCHES
 
@@ -44,40 +50,36 @@ class SkipAblationOptions(MatrixOptions):
     skips: list[str]
 
 
-class SkipAblation(Experiment):
+class SkipAblation(Matrix):
     """Cells with each skip alone, with all but one, with all and with none."""
 
     options = SkipAblationOptions
-    one_job = True
-    sets: ClassVar[Mapping[str, str]] = MatrixOptions.SETS
+    missing: ClassVar[str] = ""
 
     def start(self, cfg: DictConfig) -> None:
         prepare_prior(cfg)
 
-    def run(self, cfg: DictConfig) -> None:
-        self.check(cfg)
-        cells = run_cells(cfg, axes(cfg))
+    def axes(self, cfg: DictConfig) -> Axes:
+        """Return scenes, seeds, variants; each variant switches all skips on or off. Off is null for a rule."""
+        usual = {name: bool(cfg.skip.get(name, True)) for name in SWITCHES}
+        usual |= {name: cfg.budget.get(name) is not None for name in RULES}
+        switched = []
+        for label, skips in variants(list(cfg.study.skips), usual).items():
+            changes: dict[str, Any] = {f"skip.{name}": skips[name] for name in SWITCHES}
+            changes |= {f"budget.{name}": None for name in RULES if not skips[name]}
+            switched.append(AxisValue(label, changes, label))
+        scenes, seeds = values_of("scene", cfg.study.scenes), values_of("seed", cfg.study.seeds)
+        return {"scene": scenes, "seed": seeds, "variant": switched}
+
+    def tables(self, cfg: DictConfig, cells: Sequence[MatrixCell]) -> dict[str, pd.DataFrame]:
         rows = with_changes(table_of(cells, numbers))
-        if not rows.empty:
-            folder, table = Path(cfg.results) / cfg.name, summary(rows, list(cfg.study.skips))
-            write_text(folder / "skips_cells.csv", as_csv(rows))
-            write_text(folder / "skips.csv", as_csv(table))
-            show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN))
-            say(f"table: {folder / 'skips.csv'}, cells: {folder / 'skips_cells.csv'}")
-        check_all_ran(cells)
+        if rows.empty:
+            return {}
+        table = summary(rows, list(cfg.study.skips)).assign(**{COLUMN: image_values_of(cells)})
+        return {"skips": table, "skips_cells": rows}
 
-
-def axes(cfg: DictConfig) -> Axes:
-    """Return the axes: scenes, seeds, variants. Each variant switches all skips on or off; off is null for a rule."""
-    usual = {name: bool(cfg.skip.get(name, True)) for name in SWITCHES}
-    usual |= {name: cfg.budget.get(name) is not None for name in RULES}
-    switched = []
-    for label, skips in variants(list(cfg.study.skips), usual).items():
-        changes: dict[str, Any] = {f"skip.{name}": skips[name] for name in SWITCHES}
-        changes |= {f"budget.{name}": None for name in RULES if not skips[name]}
-        switched.append(AxisValue(label, changes, label))
-    scenes, seeds = values_of("scene", cfg.study.scenes), values_of("seed", cfg.study.seeds)
-    return {"scene": scenes, "seed": seeds, "variant": switched}
+    def show(self, table: pd.DataFrame) -> None:
+        show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN))
 
 
 def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[str, bool]]:

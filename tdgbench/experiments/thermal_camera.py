@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -15,25 +14,22 @@ from pydantic import Field
 
 from tdgbench.cells.key import as_json
 from tdgbench.cells.record import Record
-from tdgbench.experiments.experiment import Experiment, prepare_prior
+from tdgbench.experiments.experiment import prepare_prior
 from tdgbench.experiments.matrix import (
     Axes,
     AxisValue,
+    Matrix,
     MatrixCell,
     MatrixOptions,
-    check_all_ran,
     groups_of,
-    run_cells,
     table_of,
     values_of,
 )
-from tdgbench.files import write_text
 from tdgbench.scenes.synthetic.drifting import DriftingDataset
 from tdgbench.scenes.synthetic.truth import CameraTruth
-from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.long_table import metric_value
+from tdgbench.tables.palette import COLUMN
 from tdgbench.tables.show import format_columns, show_table
-from tdgbench.terminal import say
 from tdgbench.thermal.camera import ViewResponses, normalized, normalized_truth
 from tdgbench.thermal.maps import TERMS, evaluate
 
@@ -69,46 +65,38 @@ class CaptureStudyOptions(MatrixOptions):
     thermal_cameras: Annotated[dict[str, Any], Field(min_length=1)]
 
 
-class ThermalCameraExperiment(Experiment):
+class ThermalCameraExperiment(Matrix):
     """Cells of all combinations, and their tables."""
 
     options = CaptureStudyOptions
-    one_job = True
     sets: ClassVar[Mapping[str, str]] = {
-        **MatrixOptions.SETS, "method": "study.methods", "thermal_camera": "study.thermal_cameras",
+        **Matrix.sets, "method": "study.methods", "thermal_camera": "study.thermal_cameras",
     }  # fmt: skip
 
     def start(self, cfg: DictConfig) -> None:
         prepare_prior(cfg, cfg.study.methods.values())
 
-    def run(self, cfg: DictConfig) -> None:
-        self.check(cfg)
-        folder, cells = Path(cfg.results) / cfg.name, run_cells(cfg, axes(cfg))
+    def axes(self, cfg: DictConfig) -> Axes:
+        """Return scenes, captures with errors of the camera, methods, choices of `thermal_camera`, seeds."""
+        study = cfg.study
+        loaders = {str(name): _loader(cfg, errors) for name, errors in study.captures.items()}
+        return {
+            "scene": values_of("scene", study.scenes),
+            "capture": [AxisValue(n, {"dataset.loader": one}, f"capture={n}") for n, one in loaders.items()],
+            "method": groups_of("method", study.methods),
+            "thermal_camera": groups_of("thermal_camera", study.thermal_cameras, variant="thermal_camera"),
+            "seed": values_of("seed", study.seeds),
+        }
+
+    def tables(self, cfg: DictConfig, cells: Sequence[MatrixCell]) -> dict[str, pd.DataFrame]:
         errors = response_errors(cells)
         rows = table_of(cells, lambda record: numbers(record, errors.get(record.title, {})))
-        if not rows.empty:
-            table = summary(rows, *baseline(cfg))
-            write_text(folder / "thermal_camera_cells.csv", as_csv(rows, na_rep="n/a"))
-            write_text(folder / "thermal_camera.csv", as_csv(table, na_rep="n/a"))
-            for scene, of_scene in table.groupby("scene", sort=False):
-                title = f"{scene}: what the thermal camera costs, and what comes back"
-                show_table(format_columns(of_scene, SHOWN), title)
-            say(f"table: {folder / 'thermal_camera.csv'}, cells: {folder / 'thermal_camera_cells.csv'}")
-        check_all_ran(cells)
+        return {} if rows.empty else {"thermal_camera": summary(rows, *baseline(cfg)), "thermal_camera_cells": rows}
 
-
-def axes(cfg: DictConfig) -> Axes:
-    """Return the axes: scenes, captures with errors of the camera, methods, choices of `thermal_camera`, seeds."""
-    study = cfg.study
-    loaders = {str(name): _loader(cfg, errors) for name, errors in study.captures.items()}
-    captures = [AxisValue(n, {"dataset.loader": loader}, f"capture={n}") for n, loader in loaders.items()]
-    return {
-        "scene": values_of("scene", study.scenes),
-        "capture": captures,
-        "method": groups_of("method", study.methods),
-        "thermal_camera": groups_of("thermal_camera", study.thermal_cameras, variant="thermal_camera"),
-        "seed": values_of("seed", study.seeds),
-    }
+    def show(self, table: pd.DataFrame) -> None:
+        for scene, of_scene in table.groupby("scene", sort=False):
+            title = f"{scene}: what the thermal camera costs, and what comes back"
+            show_table(format_columns(of_scene, SHOWN), title)
 
 
 def _loader(cfg: DictConfig, errors: Mapping[str, Any]) -> dict[str, Any]:
@@ -199,9 +187,9 @@ def summary(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> pd.Dat
     """
     cells = cells.assign(recovered=_recovered(cells, clean, ideal))
     groups = cells.groupby(PLACE, sort=False)
-    means = groups[[name for name in cells.columns if name not in (*PLACE, "seed", "notes")]].mean()
+    means = groups[[name for name in cells.columns if name not in (*PLACE, "seed", "notes", COLUMN)]].mean()
     means.insert(0, "seeds", groups["seed"].nunique())
-    return means.assign(**{f"{JUDGED}_sem": groups[JUDGED].sem()}).reset_index()
+    return means.assign(**{f"{JUDGED}_sem": groups[JUDGED].sem(), COLUMN: groups[COLUMN].first()}).reset_index()
 
 
 def _recovered(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> list[float]:

@@ -21,6 +21,7 @@ def curve(label, seconds, psnr, iterations=None):
         {
             "scene": "s", "label": label, "iteration": iterations or [100 * (i + 1) for i in range(len(psnr))],
             "seconds": seconds, "gaussians": 1, "psnr": psnr, "ssim": 0.5, "lpips": None, "depth_abs_rel": 0.1,
+            "image_values": "",
         }
     )  # fmt: skip
 

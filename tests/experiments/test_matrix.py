@@ -1,9 +1,10 @@
+import pandas as pd
 import pytest
 
 from tdgbench.bench.outcome import Outcome
 from tdgbench.cells.record import Record
 from tdgbench.experiments import matrix
-from tdgbench.experiments.matrix import AxisValue, check_all_ran, groups_of, run_cells, table_of, values_of
+from tdgbench.experiments.matrix import AxisValue, Matrix, groups_of, table_of, values_of
 from tests.helpers.configs import config
 
 AXES = {
@@ -12,6 +13,23 @@ AXES = {
     "skip": [AxisValue("none", {}), AxisValue("gray", {"skip.gray": False, "skip.unheard_of": True}, "gray off")],
     "seed": values_of("seed", [0, 1]),
 }
+
+
+class Example(Matrix):
+    """The combinations of AXES, but for scene `orbit` with seed 1."""
+
+    def axes(self, cfg):
+        return AXES
+
+    def is_cell(self, labels):
+        return (labels["scene"], labels["seed"]) != ("orbit", 1)
+
+    def tables(self, cfg, cells):
+        rows = table_of(cells, lambda record: {"seconds": record.seconds["train"]})
+        return {} if rows.empty else {"sums": rows.drop(columns="skip"), "cells": rows}
+
+    def show(self, table):
+        print("shown", *table.columns)
 
 
 @pytest.fixture
@@ -23,7 +41,7 @@ def ran(tmp_path, monkeypatch):
         found.append((cfg, variant))
         status = "failed" if cfg.seed else "ok"
         record = Record("tdg", "made", cfg.scene or "only", "colmap", cfg.seed, "single", variant)
-        record.seconds = {"train": 2.0}
+        record.seconds, record.channels = {"train": 2.0}, 3 if cfg.scene else 1
         if status == "ok":
             folder = tmp_path / "single" / "cells" / str(len(found))
             folder.mkdir(parents=True)
@@ -36,25 +54,25 @@ def ran(tmp_path, monkeypatch):
 
 def test_each_combination_is_a_cell_with_its_options(ran, tmp_path):
     cfg = config(f"results={tmp_path}")
-    cells = run_cells(cfg, AXES)
+    cells = Example().run_cells(cfg)
     assert [tuple(cell.labels.values()) for cell in cells] == [
-        (scene, "ideal", skip, seed) for scene in ("orbit", None) for skip in ("none", "gray") for seed in (0, 1)
-    ]
-    assert [(c.scene, c.seed, c.skip.gray, c.skip.get("unheard_of"), variant) for c, variant in ran[:4]] == [
-        ("orbit", 0, True, None, "thermal_camera=ideal"), ("orbit", 1, True, None, "thermal_camera=ideal"),
-        ("orbit", 0, False, True, "thermal_camera=ideal,gray off"),
-        ("orbit", 1, False, True, "thermal_camera=ideal,gray off"),
+        ("orbit", "ideal", "none", 0), ("orbit", "ideal", "gray", 0),
+        *((None, "ideal", skip, seed) for skip in ("none", "gray") for seed in (0, 1)),
+    ]  # fmt: skip
+    assert [(c.scene, c.seed, c.skip.gray, c.skip.get("unheard_of"), variant) for c, variant in ran[:3]] == [
+        ("orbit", 0, True, None, "thermal_camera=ideal"), ("orbit", 0, False, True, "thermal_camera=ideal,gray off"),
+        (None, 0, True, None, "thermal_camera=ideal"),
     ]  # fmt: skip
     assert "unheard_of" not in cfg.skip and cfg.seed == 0
 
 
 def test_finished_cells_are_rows_and_failed_ones_are_told(ran, tmp_path, capsys):
-    cells = run_cells(config(f"results={tmp_path}"), AXES)
-    table = table_of(cells, lambda record: {"seconds": record.seconds["train"]})
-    assert list(table.columns) == ["scene", "thermal_camera", "skip", "seed", "seconds"] and len(table) == 4
-    assert list(table["scene"]) == ["orbit", "orbit", "only", "only"] and set(table["seed"]) == {0}
-    told = capsys.readouterr()
-    assert told.out.count("failed:") == 4 and told.err.count("done") == 4
-    check_all_ran([cell for cell in cells if cell.record is not None])
     with pytest.raises(SystemExit):
-        check_all_ran(cells)
+        Example().run(config(f"results={tmp_path}", "dataset=synthetic"))
+    table = pd.read_csv(tmp_path / "single" / "cells.csv", keep_default_na=False)
+    assert list(table.columns) == ["scene", "thermal_camera", "skip", "seed", "seconds", "image_values"]
+    assert list(table["scene"]) == ["orbit", "orbit", "only", "only"] and set(table["seed"]) == {0}
+    assert list(table["image_values"]) == ["palette, not temperature"] * 2 + [""] * 2
+    told = capsys.readouterr()
+    assert "shown scene thermal_camera seed seconds image_values" in told.out and "sums.csv, " in told.out
+    assert told.out.count("failed:") == 2 and told.err.count("done") == 4

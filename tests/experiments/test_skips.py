@@ -2,8 +2,8 @@ import pandas as pd
 import pytest
 
 from tdgbench.cells.record import Record, read_all
-from tdgbench.experiments.matrix import MatrixCell, run_cells, table_of
-from tdgbench.experiments.skips import NAMES, SkipAblation, axes, numbers, summary, variants, with_changes
+from tdgbench.experiments.matrix import MatrixCell, table_of
+from tdgbench.experiments.skips import NAMES, SkipAblation, numbers, summary, variants, with_changes
 from tdgbench.training.budget import SKIP_RULES as RULES
 from tdgbench.training.skips import SWITCHES
 from tests.helpers.configs import SMALL, config
@@ -25,7 +25,7 @@ def test_cells_of_every_variant(tmp_path, data_root, capsys):
         "+experiment=skips", *SMALL, f"data.root={data_root}", f"results={tmp_path}", "budget.iterations=12",
         "study.scenes=[turntable]", "study.skips=[gray]",
     )  # fmt: skip
-    cells = run_cells(cfg, axes(cfg))
+    cells = SkipAblation().run_cells(cfg)
     assert [cell.outcome.status for cell in cells] == ["ok"] * 4
     assert [cell.labels["variant"] for cell in cells] == ["none", "all", "only gray", "without gray"]
     assert capsys.readouterr().err.count("done") == 4
@@ -41,7 +41,7 @@ def test_cells_of_every_variant(tmp_path, data_root, capsys):
     assert list(off) == list(NAMES)
     assert all(off[name] == "switched off" for name in SWITCHES)
     assert all(off[name] == f"the budget has no rule for {name}" for name in RULES)
-    assert [cell.outcome.status for cell in run_cells(cfg, axes(cfg))] == ["kept"] * 4
+    assert [cell.outcome.status for cell in SkipAblation().run_cells(cfg)] == ["kept"] * 4
 
 
 def rows_of(records):

@@ -143,7 +143,7 @@ def cells(scores=SCORES, seeds=(0, 1)) -> pd.DataFrame:
         {"scene": "a", "capture": capture, "method": "3dgs", "thermal_camera": camera, "seed": seed, "psnr": 20.0,
          "psnr_affine": 21.0, "psnr_right_half": np.nan, "psnr_true": score + seed, "ssim": 0.5, "mae_degC": 1.0,
          "mae_degC_without_offset": 0.5, "offset_degC_worst": 0.1, "gain_worst": 0.01, "vignette_degC_worst": 0.2,
-         "train_seconds": 2.0, "camera_seconds": 0.5, "notes": ""}
+         "train_seconds": 2.0, "camera_seconds": 0.5, "notes": "", "image_values": ""}
         for (capture, camera), score in scores.items() for seed in seeds
     ]  # fmt: skip
     return pd.DataFrame(rows)
