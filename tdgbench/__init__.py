@@ -1,3 +1,3 @@
 """tdgbench: benchmark and reproduction harness for thermal Gaussian splatting."""
 
-__version__ = "0.1.0"
+__version__ = "0.8.0"
