@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pycolmap
 import pytest
 import torch
 from hydra.utils import instantiate
@@ -17,7 +18,8 @@ from hydra.utils import instantiate
 from tdgbench.cells.cameras import read_cameras
 from tdgbench.cells.record import Record, read_all, read_each
 from tdgbench.priors import DepthPrior, PriorError
-from tdgbench.scenes import Scene
+from tdgbench.scenes import FolderDataset, ReadOptions, Scene
+from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scoring import metrics
 from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.ply import load_ply
@@ -29,7 +31,7 @@ from tests.helpers.paths import ROOT
 
 TESTED = {
     "method", "prior", "dataset", "experiment", "density-rule", "metric", "parts", "backend", "table-column",
-    "render-channel",
+    "render-channel", "layout",
 }  # fmt: skip
 
 
@@ -132,6 +134,32 @@ def test_dataset(page, small_gray_scene):
     assert (lowest, highest) == (0.0, 1.0) and scene.train[0].thermal.shape == values.shape
     assert np.corrcoef(scene.train[0].thermal.ravel(), values.ravel())[0, 1] > 0.9999
     assert dataset.run(*small, "scene=cellar") == 1
+
+
+def test_layout(page, small_gray_scene, monkeypatch):
+    layout = page("layout")
+    layout.extend_packages()
+    from tdgbench.scenes.layouts import pairs
+
+    folder = layout.folder / "captures" / "roof"
+    shutil.copytree(small_gray_scene.folder / "sparse" / "0", folder / "model")
+    (folder / "pairs").mkdir()
+    shutil.copy(small_gray_scene.folder / "temperature.json", folder)
+    for view in small_gray_scene.views:
+        shutil.copy(view.thermal_path, folder / "pairs" / f"{view.name}_T.png")
+        shutil.copy(small_gray_scene.folder / "rgb" / f"{view.name}.png", folder / "pairs" / f"{view.name}_V.png")
+    model = pycolmap.Reconstruction(str(folder / "model"))
+    for image in model.images.values():
+        image.name = image.name.replace(".png", "_V.png")
+    model.write(str(folder / "model"))
+    monkeypatch.setitem(LAYOUTS, pairs.LAYOUT.name, pairs.LAYOUT)
+    assert layout.run("budget=demo", "budget.iterations=12", "metrics.lpips.download=false", "prior=sfm_points") == 0
+    (record,) = records(layout)
+    assert record.assumed["layout"] == f"Pairs: {pairs.LAYOUT.looks}"
+    scene = FolderDataset(str(layout.folder / "captures"), ReadOptions()).load("roof")
+    for view, original in zip(scene.views, small_gray_scene.views, strict=True):
+        assert np.array_equal(view.thermal, original.thermal) and np.array_equal(view.rgb, original.rgb)
+        assert np.array_equal(view.camera.world_to_camera, original.camera.world_to_camera)
 
 
 def test_experiment(page, data_root):
