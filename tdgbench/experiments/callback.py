@@ -14,7 +14,8 @@ from omegaconf import DictConfig
 from tdgbench.bench.options import OptionError, check_typed_names, names_to_text
 from tdgbench.bench.signature import Problem
 from tdgbench.cells.plan import swept, swept_over_nothing
-from tdgbench.experiments.experiment import Experiment, check_results_folder, error_message, experiment_of
+from tdgbench.experiments.error_message import error_message
+from tdgbench.experiments.experiment import Experiment, check_results_folder, experiment_of
 from tdgbench.terminal import say
 
 

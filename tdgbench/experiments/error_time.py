@@ -22,9 +22,10 @@ from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.bench.signature import Problem
 from tdgbench.cells.paths import prior_cache
 from tdgbench.cells.record import Record
-from tdgbench.experiments.experiment import Experiment, error_message, prepare_prior
+from tdgbench.experiments.error_message import error_message
+from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.matrix import write_tables
-from tdgbench.report.figures import plain, save_figure
+from tdgbench.present.figures import plain, save_figure
 from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool

@@ -12,14 +12,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
 from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from tdgbench.bench.failures import EXPECTED_ERRORS
 from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
-from tdgbench.bench.signature import Problem, meant, option_meant
+from tdgbench.bench.signature import Problem
 from tdgbench.priors import prepare
 from tdgbench.signals import end_with_parent
 from tdgbench.terminal import guard_streams
@@ -107,35 +104,3 @@ def check_results_folder(folder: Path) -> None:
     except OSError as error:
         reason = f"{there} cannot be written to ({error.strerror}); choose another folder with results=DIR"
         raise OptionError([Problem("results", f"the results go to {folder}, but {reason}")]) from error
-
-
-def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
-    """Return the message of an error that ends a run or a job.
-
-    words: the command line, which the message of an unexpected error repeats.
-    """
-    if isinstance(error, OverrideParseException):
-        return f"{error.override!r} cannot be read as KEY=VALUE: {error}"
-    if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options:
-        group, _, choice = error.missing_cfg_file.rpartition("/")
-        there = ", ".join(error.options)
-        return f"{group}={choice}: there is no such {group}{meant(choice, error.options)} (there are {there})"
-    if isinstance(error, ConfigCompositionException) and isinstance(
-        error.__cause__, ConfigAttributeError | ConfigKeyError
-    ):
-        option = str(error.__cause__.full_key)
-        typed = next((word for word in words if word.lstrip("+~").startswith((f"{option}=", f"{option}."))), option)
-        return f"{typed}: is no option{option_meant(option)} (`tdgbench --cfg job` shows all)"
-    if isinstance(error, HydraException) and "--multirun" in str(error):
-        return f"several values need -m: tdgbench -m {' '.join(words)}"
-    if isinstance(error, HydraException | OmegaConfBaseException):
-        cause = error.__cause__
-        text = "\n".join(map(str, (error, cause) if isinstance(cause, OmegaConfBaseException) else (error,)))
-        is_named = isinstance(error, HydraException) or bool(error.full_key)
-        return text if is_named or not words else f"{text} in: {' '.join(words)}"
-    if isinstance(error, (OSError, *EXPECTED_ERRORS)):
-        return str(error)
-    if isinstance(error.__cause__, OSError):  # e.g. of logging, whose file cannot be opened
-        return f"{error}: {error.__cause__}"
-    command = f" in: {' '.join(words)}" if words else ""
-    return f"{type(error).__name__}: {error}{command} (HYDRA_FULL_ERROR=1 shows the traceback)"

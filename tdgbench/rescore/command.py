@@ -21,7 +21,7 @@ from tdgbench.cells.metric_settings import metric_settings, scorer_of
 from tdgbench.cells.paths import cell_folder_of
 from tdgbench.cells.plan import read_plan
 from tdgbench.cells.record import read_each
-from tdgbench.experiments.experiment import error_message
+from tdgbench.experiments.error_message import error_message
 from tdgbench.experiments.sweep.finish import write_all
 from tdgbench.files import whole_folder
 from tdgbench.packs import opened_pack

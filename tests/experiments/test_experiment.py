@@ -11,7 +11,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from tdgbench.bench.options import OptionError
-from tdgbench.experiments.experiment import Experiment, check_results_folder, error_message, experiment_of
+from tdgbench.experiments.error_message import error_message
+from tdgbench.experiments.experiment import Experiment, check_results_folder, experiment_of
 from tests.helpers.command import command_here
 from tests.helpers.configs import config
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from omegaconf import DictConfig
 
 from tdgbench.bench.outcome import SUCCESS, Outcome
-from tdgbench.experiments.experiment import error_message
+from tdgbench.experiments.error_message import error_message
+from tdgbench.present.strip import draw_strip
 from tdgbench.report.page import write_report
-from tdgbench.report.strip import draw_strip
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show_findings, show_tables
 from tdgbench.terminal import say
@@ -68,7 +68,7 @@ def write_all(experiment: Path) -> list[str]:
     tables = build_tables(experiment)
     show_tables(tables)
     say(f"tables: {tables.folder}")
-    if draw_strip(tables.records, experiment, experiment / "strip.png"):
+    if draw_strip(tables.results.finished, experiment / "strip.png"):
         say(f"pictures: {experiment / 'strip.png'}")
-    say(f"report: {write_report(experiment, tables)}")
+    say(f"report: {write_report(tables)}")
     return tables.findings

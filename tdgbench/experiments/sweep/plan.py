@@ -21,42 +21,52 @@ def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
 
     Returns the number of cells, and of those whose scene is not on disk. Raises SystemExit(1) for an unknown scene.
     """
-    options = swept(cfg)
-    names = options.get("scene")
-    scenes, missing = list[Description](), list[Description]()  # of each data set
     try:
-        for one in configs_by(cfg, ("dataset", "data")):
-            if not _is_allowed(one):
-                continue
-            dataset: Dataset = instantiate(one.dataset.loader)
-            described = [dataset.describe(name) for name in names or [one.scene]]
-            absent = dataset.missing([scene.scene for scene in described])
-            if absent:
-                say(dataset.explain_missing(absent), "error:", stderr=True)
-            scenes += described
-            missing += [scene for scene in described if scene.scene in absent]
+        scenes, missing = _scenes_of(cfg)
     except SceneError as error:
         say(str(error), "error:", stderr=True)
         raise SystemExit(1) from error
     for message in unavailable_priors(configs_by(cfg, ("method", "dataset", "prior"))):
         say(f"{message}\n  cells of methods without a prior run", "error:", stderr=True)
     jobs = number_of_jobs(cfg) or max(len(scenes), 1)
-    without_data = len(missing) * jobs // max(len(scenes), 1)
-    different = list(dict.fromkeys(scenes))
-    alike = len(different) < len(names or [""]) * len(set(options.get("dataset", [""])))  # two data sets of one title
+    without_data = missing * jobs // max(len(scenes), 1)
     if jobs > 1:
         say(f"{cfg.name}: {jobs} cells, {without_data} without data", stderr=True)
-    plan = Plan(
-        table=cfg.table,
-        scenes=different,
-        methods=options.get("method", [cfg.method.name]),
-        inits=options.get("init", [cfg.init.name]),
-        variant_keys=[key for key in options if key not in IN_THE_PATH or (alike and key == "dataset")],
-        cells_with_data=jobs - without_data if number_of_jobs(cfg) else 0,
-    )
+    plan = _plan_of(cfg, list(dict.fromkeys(scenes)), jobs - without_data if number_of_jobs(cfg) else 0)
     plan.write(Path(cfg.results) / cfg.name)  # for the tables
     plan.write(Path(cfg.hydra.sweep.dir))  # for the jobs: another sweep may replace the other one meanwhile
     return jobs, without_data
+
+
+def _scenes_of(cfg: DictConfig) -> tuple[list[Description], int]:
+    """Return the scenes of each data set of a sweep, and how many are not on disk, which is printed.
+
+    Raises SceneError for an unknown scene.
+    """
+    scenes, missing = list[Description](), 0
+    for one in filter(_is_allowed, configs_by(cfg, ("dataset", "data"))):
+        dataset: Dataset = instantiate(one.dataset.loader)
+        described = [dataset.describe(name) for name in swept(cfg).get("scene") or [one.scene]]
+        absent = dataset.missing([scene.scene for scene in described])
+        if absent:
+            say(dataset.explain_missing(absent), "error:", stderr=True)
+        scenes += described
+        missing += sum(scene.scene in absent for scene in described)
+    return scenes, missing
+
+
+def _plan_of(cfg: DictConfig, scenes: list[Description], cells_with_data: int) -> Plan:
+    """Return the plan of a sweep over these scenes. cells_with_data: 0 where the sweeper decides."""
+    options = swept(cfg)
+    alike = len(scenes) < len(options.get("scene") or [""]) * len(set(options.get("dataset", [""])))  # in titles
+    return Plan(
+        table=cfg.table,
+        scenes=scenes,
+        methods=options.get("method", [cfg.method.name]),
+        inits=options.get("init", [cfg.init.name]),
+        variant_keys=[key for key in options if key not in IN_THE_PATH or (alike and key == "dataset")],
+        cells_with_data=cells_with_data,
+    )
 
 
 def unavailable_priors(cells: Iterable[DictConfig]) -> list[str]:
