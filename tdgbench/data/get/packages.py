@@ -46,31 +46,41 @@ def packages_of(
     Files inside the folder of a scene belong to it, archives too. scenes: names; empty: all. Raises GetError for a
     scene that no package is of, and if there is no package.
     """
-    files = [file for file in files if not _is_junk(file.path)]
+    packages, others = _grouped(source, [file for file in files if not _is_junk(file.path)])
+    if not packages:
+        raise GetError(f"{source.page} shows no scene and no zip archive to the public, but {len(others)} other files")
+    return [_alone(source, packages, name) for name in scenes] or packages, others
+
+
+def _grouped(source: PublishedDataset, files: list[RemoteFile]) -> tuple[list[Package], list[PurePosixPath]]:
+    """Return one package per folder of a scene and per archive elsewhere, and the paths of other files."""
     roots = scenes_in(source, [file.path for file in files], source.folder, source.page)
+    inside: dict[str, list[RemoteFile]] = {name: [] for name in roots}
     packages, others = [], []
-    for name, root in roots.items():
-        inside = [file for file in files if root in file.path.parents]
-        packages.append(Package(str(root) if root.parts else name, inside, name, is_archive=False))
     for file in files:
         path, stem = file.path, file.path.stem
-        if any(root in path.parents for root in roots.values()):
-            continue
-        if path.suffix.lower() == ".zip":
+        scene = next((name for name, root in roots.items() if root in path.parents), None)
+        if scene is not None:
+            inside[scene].append(file)
+        elif path.suffix.lower() == ".zip":
             is_whole = plain_name(stem).startswith(plain_name(source.folder))  # of the data set, not of one scene
             packages.append(Package(str(path), [file], None if is_whole else source.scene(stem), is_archive=True))
         else:
             others.append(path)
-    if not packages:
-        raise GetError(f"{source.page} shows no scene and no zip archive to the public, but {len(others)} other files")
-    alone = {package.scene.lower(): package for package in packages if package.scene}
-    for name in scenes:
-        if source.scene(name).lower() not in alone:
-            raise GetError(
-                f"no file of {source.folder} is of the scene {source.scene(name)} alone; published are "
-                f"{', '.join(p.name for p in packages)}: choose among single files, or leave --scene out"
-            )
-    return [alone[source.scene(name).lower()] for name in scenes] or packages, others
+    folders = [(str(root) if root.parts else name, name) for name, root in roots.items()]
+    return [Package(title, inside[name], name, is_archive=False) for title, name in folders] + packages, others
+
+
+def _alone(source: PublishedDataset, packages: list[Package], name: str) -> Package:
+    """Return the package of one scene, which holds no other. Raises GetError if there is none."""
+    scene = source.scene(name)
+    found = [package for package in packages if package.scene and package.scene.lower() == scene.lower()]
+    if not found:
+        raise GetError(
+            f"no file of {source.folder} is of the scene {scene} alone; published are "
+            f"{', '.join(p.name for p in packages)}: choose among single files, or leave --scene out"
+        )
+    return found[-1]
 
 
 def scenes_in(

@@ -59,13 +59,11 @@ def read_chunk(root: Element, path: Path) -> Chunk:
     """
     if (chunks := len([*root.iter("chunk")])) > 1:
         raise SceneError(f"{path} holds {chunks} chunks; export the cameras of one")
-    cameras = {camera.get("id"): camera for camera in root.iter("camera")}
-    sensors = {sensor.get("id"): sensor for sensor in root.iter("sensor")}
-    component = {key: cameras.get(one.get("master_id"), one).get("component_id") for key, one in cameras.items()}
-    placed = {key: place for key, one in cameras.items() if (place := _place(one, cameras, sensors, path)) is not None}
+    cameras, sensors = _by_id(root, "camera"), _by_id(root, "sensor")
+    places = {key: _place(one, cameras, sensors, path) for key, one in cameras.items()}
+    placed = {key: place for key, place in places.items() if place is not None}
     enabled = [key for key in placed if cameras[key].get("enabled") not in ("0", "false")]
-    largest = Counter(component[key] for key in enabled).most_common(1)
-    kept = [key for key in enabled if component[key] == largest[0][0]]
+    kept = _largest_component(enabled, cameras)
     chunk = Chunk({}, {}, [])
     for key in kept:
         label = cameras[key].get("label", "")
@@ -74,15 +72,26 @@ def read_chunk(root: Element, path: Path) -> Chunk:
         chunk.poses[label] = pose_at(placed[key][:3, 3], placed[key][:3, :3].T)
         chunk.lenses[label] = _lens_id(sensors.get(cameras[key].get("sensor_id")))
     composed = sum(cameras[key].find("transform") is None for key in kept)
-    moved = any(block.find("transform") is not None for tag in ("chunk", "component") for block in root.iter(tag))
     said = {
         "are disabled, and left out": len(placed) - len(enabled),
         "belong to smaller components, and are left out": len(enabled) - len(kept),
         "are slaves of a multi-camera system: their poses are composed of their masters' and their sensor's": composed,
     }
     chunk.notes.extend(f"{number} cameras {what}" for what, number in said.items() if number)
-    chunk.notes.extend(["poses are in the chunk's own frame: its georeference and scale are not applied"] * moved)
+    if any(block.find("transform") is not None for tag in ("chunk", "component") for block in root.iter(tag)):
+        chunk.notes.append("poses are in the chunk's own frame: its georeference and scale are not applied")
     return chunk
+
+
+def _by_id(root: Element, tag: str) -> dict[str | None, Element]:
+    return {one.get("id"): one for one in root.iter(tag)}
+
+
+def _largest_component(keys: list[str | None], cameras: dict[str | None, Element]) -> list[str | None]:
+    """Return the cameras, of some, that the component with most of them holds; a slave is in its master's."""
+    component = {key: cameras.get(cameras[key].get("master_id"), cameras[key]).get("component_id") for key in keys}
+    largest = Counter(component.values()).most_common(1)
+    return [key for key in keys if component[key] == largest[0][0]]
 
 
 def _place(

@@ -41,29 +41,34 @@ def read_reference(path: Path) -> Reference:
     """Read poses by view name (`names.view_names`). Raises SceneError naming the file."""
     suffix = path.suffix.lower()
     if is_folder(path):
-        layout = detect(path)
-        found = None if layout is None else layout.find(path)
-        images, points = read_model(path)[:2] if found is None else (found.posed, found.points)
-        shown = [image for image in images.values() if found is None or image.name in found.thermal]
-        reference = _of_images(shown, points)
-    elif suffix == ".json":
-        reference = _read_json(path)
-    elif suffix == ".txt":
-        reference = Reference(table_poses(path))
-    elif suffix in (".xml", ".zip"):
-        root = read_xml(path)
-        chunk = read_chunk(root, path)
-        reference = Reference(chunk.poses, lambda *ids: lenses(root, path, *ids), None, chunk.lenses, chunk.notes)
+        reference = _read_folder(path)
+    elif suffix in READERS:
+        reference = READERS[suffix](path)
     else:
         raise SceneError(f"{regular_file(path)} holds no poses that are read here; give {READ}")
     if not reference.poses:
         raise SceneError(f"{path} has no registered view; align the images first, and export again")
     views = view_names([key(name) for name in reference.poses], str(path))
-    named = {name: views[key(name)] for name in reference.poses}
-    for name, pose in reference.poses.items():
-        check_pose(pose, f"{path}: view {named[name]}")
-    poses = {named[name]: pose for name, pose in reference.poses.items()}
-    return reference._replace(poses=poses, lens_ids={named[name]: one for name, one in reference.lens_ids.items()})
+    poses = {views[key(name)]: pose for name, pose in reference.poses.items()}
+    for view, pose in poses.items():
+        check_pose(pose, f"{path}: view {view}")
+    return reference._replace(poses=poses, lens_ids={views[key(name)]: one for name, one in reference.lens_ids.items()})
+
+
+def _read_folder(path: Path) -> Reference:
+    """Read a scene, whose posed thermal images count, or a COLMAP model."""
+    layout = detect(path)
+    if layout is None:
+        model = read_model(path)
+        return _of_images([*model.images.values()], model.points)
+    found = layout.find(path)
+    return _of_images([image for image in found.posed.values() if image.name in found.thermal], found.points)
+
+
+def _read_metashape(path: Path) -> Reference:
+    root = read_xml(path)
+    chunk = read_chunk(root, path)
+    return Reference(chunk.poses, lambda *ids: lenses(root, path, *ids), None, chunk.lenses, chunk.notes)
 
 
 def _of_images(images: list[RegisteredImage], points: PointCloud | None) -> Reference:
@@ -89,3 +94,11 @@ def _of_transforms(path: Path) -> Reference:
         return _of_images(images, None)
     points, _ = where_they_are(read_points(ply)[0], content.applied_transform, [image.camera for image in images])
     return _of_images(images, points)
+
+
+READERS: dict[str, Callable[[Path], Reference]] = {  # of files, by suffix
+    ".json": _read_json,
+    ".txt": lambda path: Reference(table_poses(path)),
+    ".xml": _read_metashape,
+    ".zip": _read_metashape,
+}

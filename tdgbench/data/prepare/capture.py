@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image
 from skimage.exposure import equalize_adapthist
 
 from tdgbench.data.prepare.dji import JPEG, RAW, check_unit, converted_with, read_raw
-from tdgbench.data.prepare.places import GPS, Taken, read_taken
+from tdgbench.data.prepare.places import Taken, read_taken
 from tdgbench.data.prepare.report import FileReport, Report
 from tdgbench.data.prepare.resample import Size
 from tdgbench.data.prepare.sources import Sources, ViewFiles
@@ -59,53 +59,55 @@ class ViewContent:
     """Content of a view's files.
 
     thermal: (H, W) float64 °C with NaN where invalid; or (H, W, C) float32 in [0, 1] of shown images. rgb: (h, w, 3)
-    float32 in [0, 1], if it is looked for. mapping: as a FLIR file states it, of its own photo. counts: as of Kind.
-    settings: of the camera, in words. assumed: about the files.
+    float32 in [0, 1], if it is looked for. mapping: as a FLIR file states it, of its own photo. assumed: about the
+    files, with what they state of their temperatures.
     """
 
+    kind: Kind
     thermal: np.ndarray
     rgb: np.ndarray | None
     taken: Taken
-    mapping: PhotoMapping | None = None
-    counts: str = ""
-    settings: str = ""
-    assumed: Sequence[str] = ()
+    mapping: PhotoMapping | None
+    assumed: Sequence[str]
 
-    def kind(self, is_one_file: bool) -> Kind:
-        thermal = self.thermal.shape[1::-1]
-        rgb = thermal if self.rgb is None else self.rgb.shape[1::-1]
-        return Kind(rgb, thermal, self.thermal.ndim == 2, is_one_file, self.rgb is None, self.taken.camera, self.counts)
+
+class CapturedView(NamedTuple):
+    """A view of a capture.
+
+    image: file of the picture that COLMAP sees, in the capture's folder. taken: how, as of this picture. mapping: where
+    the thermal image lies in the photo inside its file, where the file states it.
+    """
+
+    image: str
+    taken: Taken
+    mapping: PhotoMapping | None = None
 
 
 @dataclass
 class Capture:
-    """Views of one kind, whose images wait in a folder. names: image file by view.
-
-    mappings: where thermal images lie in the photos inside their files, by view, where the files state it. places: of
-    the pictures that COLMAP sees, and heights above where a drone took off in m, by view, where the files state them.
-    """
+    """Views of one kind by name, whose images wait in a folder."""
 
     folder: Path
     kind: Kind
-    names: dict[str, str] = field(default_factory=dict)
-    mappings: dict[str, PhotoMapping] = field(default_factory=dict)
-    places: dict[str, GPS] = field(default_factory=dict)
-    heights: dict[str, float] = field(default_factory=dict)
+    views: dict[str, CapturedView] = field(default_factory=dict)
+
+    @property
+    def images(self) -> list[str]:
+        """The files of the pictures that COLMAP sees."""
+        return [view.image for view in self.views.values()]
 
     def rgb(self, view: str) -> np.ndarray | None:
         """Return the RGB image (h, w, 3), float32 in [0, 1], if there is one."""
-        return None if self.kind.is_thermal_alone else with_channels(read_image(self.folder / self.names[view]), 3)
-
-    def keep(self, views: Container[str]) -> None:
-        """Forget all other views, whose files stay in the folder."""
-        facts: tuple[dict[str, Any], ...] = (self.names, self.places, self.heights, self.mappings)
-        for by_view in facts:
-            for view in [view for view in by_view if view not in views]:
-                del by_view[view]
+        path = self.folder / self.views[view].image
+        return None if self.kind.is_thermal_alone else with_channels(read_image(path), 3)
 
     def thermal(self, view: str) -> np.ndarray:
         """Return the thermal image, (H, W) in °C or (H, W, C) in [0, 1]."""
-        return np.load(self.folder / f"{self.names[view]}.npy", allow_pickle=False)
+        return np.load(self.folder / f"{self.views[view].image}.npy", allow_pickle=False)
+
+    def keep(self, names: Container[str]) -> None:
+        """Forget all other views, whose files stay in the folder."""
+        self.views = {name: view for name, view in self.views.items() if name in names}
 
 
 def read_capture(
@@ -124,84 +126,114 @@ def read_capture(
         scale = radiometry.scale
     capture = Capture(work, Kind((0, 0), (0, 0), False, False))
     kinds: dict[Kind, list[FileReport]] = {}
-    stated: dict[str, tuple[str, ...]] = {}  # by the files, by view
+    assumed: dict[str, Sequence[str]] = {}  # by view
     with step("files to read", len(sources.views)) as count:
         for index, files in enumerate(sources.views):
-            rgb = "" if thermal_alone else "inside" if files.rgb is None else str(files.rgb)
-            origin = "" if files.origin is None else str(files.origin)
-            entry = FileReport(str(files.thermal), rgb, files.view, "written", origin=origin)
+            entry = _entry(files, thermal_alone)
             report.files.append(entry)
             try:
                 content = read_view(files, scale, thermal_alone)
             except SceneError as error:
-                entry.status, entry.reason = "not read", str(error)
+                entry.drop("not read", str(error))
             else:
                 _store(capture, files, content, index)
-                kinds.setdefault(content.kind(files.rgb is None and not thermal_alone), []).append(entry)
-                settings = f"temperatures are the object's, as set in the camera or its converter: {content.settings}"
-                stated[files.view] = *([settings] if content.settings else []), *content.assumed
+                kinds.setdefault(content.kind, []).append(entry)
+                assumed[files.view] = content.assumed
             count(index + 1)
     if not kinds:
         raise too_few(folder, 0, report)
-    capture.kind = _main_kind(folder, kinds)
-    capture.keep({entry.view for entry in kinds[capture.kind]})
-    for kind in kinds.keys() - {capture.kind}:
-        for entry in kinds[kind]:
-            entry.status, entry.reason = "left out", f"is {kind}, and the others are {capture.kind}"
+    _keep_main_kind(folder, capture, kinds)
     report.rgb_size = None if thermal_alone else capture.kind.rgb
     report.thermal_size = capture.kind.thermal
-    if not capture.kind.is_celsius:
-        known = f"whose °C {folder / FILE} gives"
-        if not is_there(folder / FILE):
-            known = "without °C: errors need --degC-per-count, a temperature.json or a converter (docs/data.md)"
-        report.assumptions.append(f"thermal images show values {known}")
-    said = Counter(words for view in capture.names for words in stated[view])
-    report.assumptions += [
-        words + (f" ({number} of {len(capture.names)} views)" if number < len(capture.names) else "")
-        for words, number in said.most_common(MOST_SAID)
-    ]
+    report.assumptions += _assumed(folder, capture, assumed)
     return capture
 
 
-def _main_kind(folder: Path, kinds: dict[Kind, list[FileReport]]) -> Kind:
-    """Return the kind of all views, or of nearly all of them. Raises SceneError if there is none."""
+def _entry(files: ViewFiles, thermal_alone: bool) -> FileReport:
+    rgb = "inside" if files.rgb is None else str(files.rgb)
+    origin = "" if files.origin is None else str(files.origin)
+    return FileReport(str(files.thermal), "" if thermal_alone else rgb, files.view, "written", origin=origin)
+
+
+def _keep_main_kind(folder: Path, capture: Capture, kinds: dict[Kind, list[FileReport]]) -> None:
+    """Keep the views of one kind, which are all or nearly all of them. Raises SceneError if no kind is."""
     ranked = sorted(kinds.items(), key=lambda item: -len(item[1]))
-    if len(ranked[0][1]) < NEARLY_ALL * sum(map(len, kinds.values())):
+    capture.kind, views = ranked[0]
+    if len(views) < NEARLY_ALL * sum(map(len, kinds.values())):
         described = [f"{len(views)} with {kind} ({views[0].view} …)" for kind, views in ranked]
         raise SceneError(
             f"{folder} holds views of different cameras or settings: {'; '.join(described[:4])}. One scene is of one "
             "camera, or pair of them, in one orientation: prepare each kind from a folder of its own, or name its "
             "files by --pairs"
         )
-    return ranked[0][0]
+    capture.keep({entry.view for entry in views})
+    for kind, others in ranked[1:]:
+        for entry in others:
+            entry.drop("left out", f"is {kind}, and the others are {capture.kind}")
+
+
+def _assumed(folder: Path, capture: Capture, by_view: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return what is assumed about the files, each line once, with the number of views."""
+    said = []
+    if not capture.kind.is_celsius:
+        known = f"whose °C {folder / FILE} gives"
+        if not is_there(folder / FILE):
+            known = "without °C: errors need --degC-per-count, a temperature.json or a converter (docs/data.md)"
+        said.append(f"thermal images show values {known}")
+    views = len(capture.views)
+    for words, number in Counter(line for view in capture.views for line in by_view[view]).most_common(MOST_SAID):
+        said.append(words if number == views else f"{words} ({number} of {views} views)")
+    return said
 
 
 def read_view(files: ViewFiles, scale: CountScale, thermal_alone: bool = False) -> ViewContent:
     """Read a view's files. Counts without a scale stay counts in thermal images alone. Raises SceneError."""
     path = check_unit(files.thermal)
     decoded = read_raw(path, files.origin) if path.suffix.lower() == RAW else decode(path)
-    found, rgb, mapping, assumed = decoded.header, None, None, [*decoded.header.assumed]
+    rgb, mapping = (None, None) if thermal_alone else _photo(files, decoded)
+    has_counts = decoded.header.meaning == "counts"
+    own = agreed_scale(path, decoded.header, scale) if has_counts else scale
+    may_be_shown = thermal_alone or decoded.header.format == "PNG"
+    is_celsius = decoded.header.meaning == "°C" or (has_counts and (own.is_known or not may_be_shown))
+    thermal = celsius_of(decoded, path, scale) if is_celsius else _shown(decoded, path)
+    taken, size = _taken(files), thermal.shape[1::-1]
+    kind = Kind(
+        size if rgb is None else rgb.shape[1::-1], size, thermal.ndim == 2, rgb is not None and files.rgb is None,
+        thermal_alone, taken.camera, decoded.header.format if has_counts else "",
+    )  # fmt: skip
+    return ViewContent(
+        kind, thermal, rgb, taken, mapping, _stated(decoded, files, _settings(decoded, path, own, scale))
+    )
+
+
+def _stated(decoded: Decoded, files: ViewFiles, settings: str) -> list[str]:
+    """Return what files state and what is assumed about them. settings: of the temperatures; empty if unknown."""
+    rgb = [] if files.rgb is None else header(files.rgb, as_picture=True).assumed
+    lines = [
+        f"temperatures are the object's, as set in the camera or its converter: {settings}" if settings else "",
+        *decoded.header.assumed, *(f"RGB: {words}" for words in rgb), decoded.lost,
+    ]  # fmt: skip
+    return [line for line in lines if line]
+
+
+def _photo(files: ViewFiles, decoded: Decoded) -> tuple[np.ndarray, PhotoMapping | None]:
+    """Return the RGB image of a view, and where the thermal one lies in a photo inside its file. Raises SceneError."""
     if files.rgb is not None:
-        rgb = with_channels(read_image(files.rgb), 3)
-        assumed += [f"RGB: {words}" for words in header(files.rgb, as_picture=True).assumed]
-    elif not thermal_alone and decoded.photo is None:
+        return with_channels(read_image(files.rgb), 3), None
+    if decoded.photo is None:
         raise SceneError(
-            f"{path} holds no photo{decoded.lost and f' ({decoded.lost})'}: put an RGB image of the same name beside "
-            "it, or name both by --pairs, or find poses in thermal images alone, by --sfm thermal"
+            f"{files.thermal} holds no photo{decoded.lost and f' ({decoded.lost})'}: put an RGB image of the same name "
+            "beside it, or name both by --pairs, or find poses in thermal images alone, by --sfm thermal"
         )
-    elif not thermal_alone and decoded.photo is not None:
-        rgb, mapping = decoded.photo.astype(np.float32) / 255, decoded.mapping
-    own = agreed_scale(path, found, scale) if found.meaning == "counts" else scale
-    may_be_shown = thermal_alone or found.format == "PNG"
-    if found.meaning == "°C" or (found.meaning == "counts" and (own.is_known or not may_be_shown)):
-        thermal = celsius_of(decoded, path, scale)
-    else:
-        thermal = unit_image(decoded, path)
-        if decoded.valid is not None:
-            thermal[~decoded.valid] = np.nan
-    assumed += [decoded.lost] if decoded.lost else []
-    counts = found.format if found.meaning == "counts" else ""
-    return ViewContent(thermal, rgb, _taken(files), mapping, counts, _settings(decoded, path, own, scale), assumed)
+    return decoded.photo.astype(np.float32) / 255, decoded.mapping
+
+
+def _shown(decoded: Decoded, path: Path) -> np.ndarray:
+    """Return what an image shows (H, W, C), in [0, 1]; NaN where nothing was measured."""
+    image = unit_image(decoded, path)
+    if decoded.valid is not None:
+        image[~decoded.valid] = np.nan
+    return image
 
 
 def _taken(files: ViewFiles) -> Taken:
@@ -214,9 +246,9 @@ def _taken(files: ViewFiles) -> Taken:
 
 def write_pictures(capture: Capture) -> None:
     """Write a gray picture of each thermal image for COLMAP, in which it finds features; for captures without RGB."""
-    with step("pictures to write", len(capture.names)) as count:
-        for index, (view, name) in enumerate(capture.names.items()):
-            Image.fromarray(picture(capture.thermal(view))).save(capture.folder / name)
+    with step("pictures to write", len(capture.views)) as count:
+        for index, (name, view) in enumerate(capture.views.items()):
+            Image.fromarray(picture(capture.thermal(name))).save(capture.folder / view.image)
             count(index + 1)
 
 
@@ -249,13 +281,7 @@ def _store(capture: Capture, files: ViewFiles, content: ViewContent, index: int)
     elif content.rgb is not None:
         Image.fromarray(np.round(content.rgb * 255).astype(np.uint8)).save(capture.folder / name)
     np.save(capture.folder / f"{name}.npy", content.thermal.astype(np.float32))
-    capture.names[files.view] = name
-    if content.taken.gps is not None:
-        capture.places[files.view] = content.taken.gps
-    if content.taken.height is not None:
-        capture.heights[files.view] = content.taken.height
-    if content.mapping is not None:
-        capture.mappings[files.view] = content.mapping
+    capture.views[files.view] = CapturedView(name, content.taken, content.mapping)
 
 
 def _settings(decoded: Decoded, path: Path, own: CountScale, given: CountScale) -> str:

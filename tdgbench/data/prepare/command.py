@@ -6,8 +6,9 @@ import argparse
 import math
 import re
 import shlex
+from collections.abc import Callable
 from pathlib import Path
-from typing import get_args
+from typing import TypeVar, get_args
 
 from tdgbench.data.prepare.calibration import read_calibration
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
@@ -18,6 +19,7 @@ from tdgbench.scenes.formats import PhotoMapping
 from tdgbench.scenes.temperature import CountScale
 from tdgbench.terminal import say
 
+T = TypeVar("T", int, float)
 FEW = 0.5  # of the files: with fewer views the command does not say how to train
 
 
@@ -36,16 +38,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="thermal covers 1/RATIO of the RGB width, X, Y px off")  # fmt: skip
     place("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
     add("--sfm", choices=("rgb", "thermal"), default="rgb", help="images that COLMAP sees; thermal needs no RGB images")
-    add("--poses", type=Path, metavar="FILE", help="of these images, by another program (docs/data.md)")
-    add("--focal", type=number, metavar="PX", help="focal length of these images; default: estimated")
-    add("--calibration", type=Path, metavar="FILE", help="lens of these images (docs/data.md)")
+    model = parser.add_mutually_exclusive_group().add_argument
+    model("--poses", type=Path, metavar="FILE", help="of these images, by another program (docs/data.md)")
+    lens = parser.add_mutually_exclusive_group().add_argument
+    lens("--focal", type=positive(number), metavar="PX", help="focal length of these images; default: estimated")
+    lens("--calibration", type=Path, metavar="FILE", help="lens of these images (docs/data.md)")
     add("--refine", action="store_true", help="begin with that lens, or --poses'; default: it is kept")
-    add("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
+    model("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
     add("--matching", choices=get_args(Matching), default="exhaustive", metavar="HOW",
         help="exhaustive, sequential (by name), nearest (GPS, poses)")  # fmt: skip
     add("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", metavar="NAME", help=", ".join(CAMERA_MODELS))
     add("--seed", type=int, default=0, metavar="N", help="of COLMAP; equal results need --threads 1, too")
-    add("--threads", type=positive_number, metavar="N", help="of COLMAP; default: all processors")
+    add("--threads", type=positive(int), metavar="N", help="of COLMAP; default: all processors")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -60,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def next_steps(out: str, report: Report) -> list[str]:
     """Return what to do with a scene, in commands that a shell and Hydra take; or what to do first."""
-    if report.count("written") < FEW * len(report.files):
+    if len(report.written) < FEW * len(report.files):
         return [
             "Most views are missing. Pictures must overlap by two thirds, from moving positions, and show texture; "
             "--matching nearest or sequential tries fewer wrong pairs, --focal PX keeps a lens from running away."
@@ -73,36 +77,29 @@ def next_steps(out: str, report: Report) -> list[str]:
     ]
 
 
-def _options(arguments: argparse.Namespace) -> PrepareOptions:
+def _options(given: argparse.Namespace) -> PrepareOptions:
     """Return the options of a preparation. Raises SceneError for options that contradict each other."""
-    if arguments.degC_per_count == 0:
+    if given.degC_per_count == 0:
         raise SceneError("--degC-per-count is 0; it must be the °C of one count")
-    if arguments.degC_at_zero != 0 and arguments.degC_per_count is None:
+    if given.degC_at_zero != 0 and given.degC_per_count is None:
         raise SceneError("--degC-at-zero needs --degC-per-count: degC = counts × A + B")
-    if arguments.focal is not None and arguments.focal <= 0:
-        raise SceneError("--focal must be positive: the focal length in px")
-    if arguments.sfm == "thermal" and (arguments.mapping or arguments.homography):
+    if given.sfm == "thermal" and (given.mapping or given.homography):
         raise SceneError("--sfm thermal has no RGB images: --mapping and --homography are about them")
-    if arguments.poses is not None and arguments.no_sfm:
-        raise SceneError("--poses and --no-sfm contradict each other; give one of them")
-    if arguments.focal is not None and arguments.calibration is not None:
-        raise SceneError("--focal and --calibration both state the focal length; give one of them")
-    if arguments.refine and arguments.focal is None and arguments.calibration is None and arguments.poses is None:
+    if given.refine and not (given.focal or given.calibration or given.poses):
         raise SceneError("--refine is about --focal, --calibration or the lens of --poses; give one of them")
-    calibration = () if arguments.calibration is None else read_calibration(arguments.calibration)
-    sfm = SfmOptions(
-        arguments.sfm, arguments.focal, arguments.matching, arguments.camera_model, arguments.seed, arguments.threads,
-        calibration, arguments.refine,
-    )  # fmt: skip
+    calibration = () if given.calibration is None else read_calibration(given.calibration)
     return PrepareOptions(
-        pairs=None if arguments.pairs is None else (arguments.pairs[0], arguments.pairs[1]),
-        counts=CountScale(arguments.degC_per_count, arguments.degC_at_zero),
-        mapping=None if arguments.mapping is None else PhotoMapping(*arguments.mapping),
-        homography=arguments.homography,
-        sfm=sfm,
-        poses=arguments.poses,
-        extracts_only=arguments.no_sfm,
-    )
+        pairs=given.pairs and (given.pairs[0], given.pairs[1]),
+        counts=CountScale(given.degC_per_count, given.degC_at_zero),
+        mapping=given.mapping and PhotoMapping(*given.mapping),
+        homography=given.homography,
+        sfm=SfmOptions(
+            given.sfm, given.focal, given.matching, given.camera_model, given.seed, given.threads, calibration,
+            given.refine,
+        ),
+        poses=given.poses,
+        extracts_only=given.no_sfm,
+    )  # fmt: skip
 
 
 def number(text: str) -> float:
@@ -112,8 +109,13 @@ def number(text: str) -> float:
     return value
 
 
-def positive_number(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not positive")
-    return value
+def positive(kind: Callable[[str], T]) -> Callable[[str], T]:
+    """Return the type of an option that is a positive number."""
+
+    def number(text: str) -> T:  # argparse names it in its messages
+        value = kind(text)
+        if not value > 0:
+            raise argparse.ArgumentTypeError(f"{text} is not positive")
+        return value
+
+    return number

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
 import pycolmap
 
 from tdgbench.data.poses.references import Reference
@@ -19,56 +16,43 @@ from tdgbench.data.prepare.resample import Size
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, cloud, counts, matched, pipeline, quiet
 from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
-from tdgbench.scenes import PointCloud, SceneError
+from tdgbench.scenes import SceneError
 from tdgbench.scenes.modalities import LABELS
 
-FAR = 100  # × the cameras' extent: an origin that float32 coordinates cannot afford, as of maps
 
+def known_poses(path: Path, reference: Reference, capture: Capture, report: Report) -> Reference:
+    """Return the reference with the poses of a capture's images alone, by image file; other views leave the capture.
 
-class KnownPoses(NamedTuple):
-    """World-to-camera poses (4, 4) by image file, points in their world if these are known, and ids of their lenses."""
-
-    poses: dict[str, np.ndarray]
-    points: PointCloud | None
-    lens_ids: frozenset[int] = frozenset()
-
-    @property
-    def centres(self) -> np.ndarray:
-        """Positions of the cameras (N, 3)."""
-        return centres_of(self.poses.values())
-
-
-def known_poses(path: Path, reference: Reference, capture: Capture, report: Report) -> KnownPoses:
-    """Return the poses of a capture's images in a file, by view or file name; other views leave the capture.
-
-    Raises SceneError if fewer than three images have one.
+    path: of the reference, which names images by view or by file. Raises SceneError if fewer than three have a pose.
     """
     found = {}
-    for file in report.files:
+    for file in report.written:
         stem = Path(file.file if file.rgb in ("", "inside") else file.rgb).stem
         name = next((name for name in (file.view, stem) if name in reference.poses), None)
-        if file.status == "written" and name is not None:
+        if name is None:
+            file.drop("not registered", f"{path} has no pose of it")
+        else:
             found[file.view] = name
-        elif file.status == "written":
-            file.status, file.reason = "not registered", f"{path} has no pose of it"
     if len(found) < FEWEST_IMAGES:
-        names, views = (", ".join(list(one)[:2]) for one in (reference.poses, capture.names))
+        names, views = (", ".join(list(one)[:2]) for one in (reference.poses, capture.views))
         raise SceneError(
-            f"{path} has poses of {len(found)} of {len(capture.names)} images ({names} … against {views} …); "
+            f"{path} has poses of {len(found)} of {len(capture.views)} images ({names} … against {views} …); "
             f"{FEWEST_IMAGES} are needed. Rename the images as there, without folders and extensions"
         )
     capture.keep(found)
-    poses = {name: reference.poses[found[view]] for view, name in capture.names.items()}
     report.assumptions += [f"poses are those of {path}, in its world", *reference.notes]
     if len(found) < len(reference.poses):
         report.assumptions.append(
             f"{len(reference.poses) - len(found)} of its {len(reference.poses)} poses are of no image"
         )
-    lens_ids = frozenset(reference.lens_ids[name] for name in found.values() if name in reference.lens_ids)
-    return _near_origin(KnownPoses(poses, reference.points, lens_ids), report)
+    names_of = {view.image: found[name] for name, view in capture.views.items()}
+    return reference._replace(
+        poses={image: reference.poses[name] for image, name in names_of.items()},
+        lens_ids={image: reference.lens_ids[name] for image, name in names_of.items() if name in reference.lens_ids},
+    )
 
 
-def structure_of(known: KnownPoses, images: Path, size: Size, stages: Stages, options: SfmOptions) -> Structure:
+def structure_of(known: Reference, images: Path, size: Size, stages: Stages, options: SfmOptions) -> Structure:
     """Return known poses with their points; without any, or to refine the lens, COLMAP triangulates those of matches.
 
     images: folder of images of a size. options: with a known lens.
@@ -78,7 +62,7 @@ def structure_of(known: KnownPoses, images: Path, size: Size, stages: Stages, op
         assert camera is not None  # the lens is known
         notes = ["points are those of the same file"]
         return Structure(camera, known.poses, known.points, None, [], Counter(), Counter(), notes)
-    names, positions = list(known.poses), known.centres if options.matching == "nearest" else None
+    names, positions = list(known.poses), centres_of(known.poses.values()) if options.matching == "nearest" else None
     with quiet():
         database = matched(images, names, stages, options, positions)
         inputs = options.refine, [pose.tolist() for pose in known.poses.values()]
@@ -93,7 +77,7 @@ def structure_of(known: KnownPoses, images: Path, size: Size, stages: Stages, op
     return Structure(camera, known.poses, points, error, [], *counts(database), notes)
 
 
-def _triangulate(database: Path, images: Path, folder: Path, known: KnownPoses, options: SfmOptions) -> None:
+def _triangulate(database: Path, images: Path, folder: Path, known: Reference, options: SfmOptions) -> None:
     """Write a model of the poses with the points of the matches; refine the lens if the options say so."""
     model = pycolmap.Reconstruction()
     with pycolmap.Database.open(database) as stored:
@@ -109,17 +93,3 @@ def _triangulate(database: Path, images: Path, folder: Path, known: KnownPoses, 
         )
         count(len(known.poses))
     found.write(folder)
-
-
-def _near_origin(known: KnownPoses, report: Report) -> KnownPoses:
-    """Return poses and points about the cameras' middle if the world's origin is far away, as that of a map is."""
-    middle, extent = known.centres.mean(axis=0), np.linalg.norm(np.ptp(known.centres, axis=0))
-    if np.linalg.norm(middle) <= FAR * extent:
-        return known
-    report.assumptions.append(
-        f"the origin is moved to the cameras' middle, {', '.join(f'{x:.3f}' for x in middle)} there"
-    )
-    to_world = np.eye(4)
-    to_world[:3, 3] = middle
-    points = None if known.points is None else replace(known.points, points=known.points.points - middle)
-    return known._replace(poses={name: pose @ to_world for name, pose in known.poses.items()}, points=points)

@@ -51,6 +51,11 @@ class PrepareOptions:
     poses: Path | None = None
     extracts_only: bool = False
 
+    @property
+    def thermal_alone(self) -> bool:
+        """Whether there are no RGB images."""
+        return self.sfm.images == "thermal"
+
 
 def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
     """Write the scene `out` of the camera files in `folder`, whole or not at all; return the report, which it holds.
@@ -72,22 +77,14 @@ def prepare_scene(folder: Path, out: Path, options: PrepareOptions) -> Report:
 
 
 def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, report: Report) -> Report:
-    thermal_alone = options.sfm.images == "thermal"
-    capture, report = _read(folder, stages, options, thermal_alone, report)
+    capture, report = _read(folder, stages, options, report)
     mapping, own = _choose_mapping(capture, options)
     structure = None
     if not options.extracts_only:
         structure = _structure(folder, capture, stages, options.sfm, options.poses, report)
     source: pycolmap.Camera = no_distortion(capture.kind.rgb) if structure is None else structure.camera
     grid = make_grid(source, mapping, capture.kind.thermal)
-    report.assumptions += [] if thermal_alone else [mapping.assumption]
-    if thermal_alone and structure is not None and options.poses is None:
-        report.assumptions.append("poses, points and lens distortion are found in the thermal images alone")
-    elif structure is not None and not thermal_alone:
-        report.assumptions.append("lens distortion is the RGB camera's, removed from both images alike")
-    elif structure is None:
-        where = "pictures of thermal/" if thermal_alone else "rgb/"
-        report.assumptions.append(f"images are not undistorted, without a model: run COLMAP on {where}, into sparse/0")
+    report.assumptions += _about_images(mapping, options)
     report.size = grid.size
     _write_views(part, capture, grid, mapping, own, report)
     radiometry = None if capture.kind.is_celsius else read_radiometry(folder / FILE)
@@ -96,16 +93,28 @@ def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, 
         content = json.dumps({"unit": "degC", "min": low, "max": high})
         (part / FILE).write_text(f"{content}\n", encoding="utf-8")
     if structure is not None:
-        views = [one.view for one in report.files if one.status == "written"]
-        cameras = [(f"{view}.png", grid.camera(structure.poses[capture.names[view]])) for view in views]
+        names = {one.view: capture.views[one.view].image for one in report.written}
+        cameras = [(f"{view}.png", grid.camera(structure.poses[image])) for view, image in names.items()]
         write_model(part / "sparse" / "0", cameras, structure.points)
     return report
 
 
-def _read(
-    folder: Path, stages: Stages, options: PrepareOptions, thermal_alone: bool, report: Report
-) -> tuple[Capture, Report]:
+def _about_images(mapping: Mapping, options: PrepareOptions) -> list[str]:
+    """Return what is assumed of where thermal images lie in RGB images, and of the lens."""
+    if options.extracts_only:
+        where = "pictures of thermal/" if options.thermal_alone else "rgb/"
+        lens = [f"images are not undistorted, without a model: run COLMAP on {where}, into sparse/0"]
+    elif not options.thermal_alone:
+        lens = ["lens distortion is the RGB camera's, removed from both images alike"]
+    else:
+        found = "poses, points and lens distortion are found in the thermal images alone"
+        lens = [found] if options.poses is None else []
+    return lens if options.thermal_alone else [mapping.assumption, *lens]
+
+
+def _read(folder: Path, stages: Stages, options: PrepareOptions, report: Report) -> tuple[Capture, Report]:
     """Read the camera's files, or what an earlier run stored of them: the capture, and the report until then."""
+    thermal_alone = options.thermal_alone
     sources = find_sources(folder, options.pairs, thermal_alone)
     files = (path for view in sources.views for path in (view.thermal, view.rgb, view.origin) if path is not None)
     used = [folder / FILE, *files]
@@ -128,16 +137,16 @@ def _structure(
 ) -> Structure:
     """Return poses, lens and points: those of a file of poses, else those that COLMAP finds; report them."""
     positions = _positions(capture, report) if poses is None and sfm.matching == "nearest" else None
-    if len(capture.names) < FEWEST_IMAGES:
-        raise too_few(folder, len(capture.names), report)
+    if len(capture.views) < FEWEST_IMAGES:
+        raise too_few(folder, len(capture.views), report)
     if poses is None:
         structure = _reconstruct(capture, stages, _with_lens(sfm, report, capture.kind), positions)
     else:
         reference = read_reference(poses)
         known = known_poses(poses, reference, capture, report)
-        ids = [known.lens_ids] if known.lens_ids else []
-        stated = [] if sfm.focal is not None or sfm.calibration else reference.lenses(*ids)
-        sfm = replace(sfm, calibration=checked_lenses(stated, poses)) if stated else sfm
+        if sfm.focal is None and not sfm.calibration:
+            stated = known.lenses(*([{*known.lens_ids.values()}] if known.lens_ids else []))
+            sfm = replace(sfm, calibration=checked_lenses(stated, poses) if stated else ())
         sfm = _with_lens(sfm, report, capture.kind)
         if sfm.focal is None and not sfm.calibration:
             raise SceneError(f"{poses} states no lens: say it by --calibration FILE or --focal PX")
@@ -148,11 +157,11 @@ def _structure(
 
 def _reconstruct(capture: Capture, stages: Stages, options: SfmOptions, positions: np.ndarray | None) -> Structure:
     """Return what COLMAP finds; a focal length that contradicts the height of a drone is reported."""
-    structure = reconstruct(capture.folder, list(capture.names.values()), stages, options, positions)
-    heights = {capture.names[view]: height for view, height in capture.heights.items()}
-    known = [name for name in structure.poses if name in heights]
+    structure = reconstruct(capture.folder, capture.images, stages, options, positions)
+    heights = {view.image: view.taken.height for view in capture.views.values() if view.taken.height is not None}
+    known = [image for image in structure.poses if image in heights]
     if structure.is_in_metres and known:
-        poses, stated = [structure.poses[name] for name in known], [heights[name] for name in known]
+        poses, stated = [structure.poses[image] for image in known], [heights[image] for image in known]
         focal = structure.camera.mean_focal_length()
         doubt = doubted_by_height(poses, structure.points.points, stated, focal)
         structure.notes.extend([] if doubt is None else [doubt])
@@ -161,10 +170,10 @@ def _reconstruct(capture: Capture, stages: Stages, options: SfmOptions, position
 
 def _positions(capture: Capture, report: Report) -> np.ndarray:
     """Return positions (N, 3) in m of the views that have one; others leave the capture."""
-    found = coordinates(capture.places)
-    for file in report.files:
-        if file.status == "written" and file.view not in found:
-            file.status, file.reason = "left out", "no GPS position with altitude, as --matching nearest needs"
+    found = coordinates({name: one.taken.gps for name, one in capture.views.items() if one.taken.gps is not None})
+    for file in report.written:
+        if file.view not in found:
+            file.drop("left out", "no GPS position with altitude, as --matching nearest needs")
     capture.keep(found)
     return np.array(list(found.values()))
 
@@ -178,15 +187,18 @@ def _with_lens(options: SfmOptions, report: Report, kind: Kind) -> SfmOptions:
         what = f"focal length {options.focal:g} px" if options.focal is not None else "known lens"
         report.assumptions.append(f"{what}, {'which COLMAP refines' if options.refine else 'which is kept'}")
         return options
-    used = [one for one in report.files if one.status == "written" and one.rgb != "inside"]
-    paths = [Path(one.rgb or one.origin or one.file) for one in used]
-    written = [path for path in paths if kind.is_thermal_alone or path.suffix.lower() not in JPEG]
-    stated = {exif_focal(path, kind.rgb) for path in written}
-    (focal,) = stated if len(stated) == 1 else (None,)
+    focal = _exif_focal(report, kind)
     if focal is None:
         return options
     report.assumptions.append(f"COLMAP begins with the focal length that the files' EXIF data state, {focal:.0f} px")
     return replace(options, focal=focal, refine=True, is_of_exif=True)
+
+
+def _exif_focal(report: Report, kind: Kind) -> float | None:
+    """Return the focal length in px that the EXIF data of all files state alike, if they do."""
+    paths = [Path(one.rgb or one.origin or one.file) for one in report.written if one.rgb != "inside"]
+    stated = {exif_focal(path, kind.rgb) for path in paths if kind.is_thermal_alone or path.suffix.lower() not in JPEG}
+    return stated.pop() if len(stated) == 1 else None
 
 
 def _choose_mapping(capture: Capture, options: PrepareOptions) -> tuple[Mapping, dict[str, Mapping]]:
@@ -196,7 +208,7 @@ def _choose_mapping(capture: Capture, options: PrepareOptions) -> tuple[Mapping,
         return from_file(options.homography), {}
     if options.mapping is not None:
         return inside_photo(options.mapping, *sizes, "--mapping"), {}
-    stated = capture.mappings
+    stated = {name: view.mapping for name, view in capture.views.items() if view.mapping is not None}
     if not stated:
         return same_view(*sizes), {}
     fields = [(one.real_to_ir, one.offset_x, one.offset_y) for one in stated.values()]
@@ -213,13 +225,13 @@ def _note_structure(structure: Structure, capture: Capture, report: Report) -> N
     report.points = len(structure.points.points)
     report.assumptions += structure.notes
     report.camera = f"{structure.camera.model_name}, f = {structure.camera.mean_focal_length():.0f} px"
-    for file in report.files:
-        name = capture.names.get(file.view)
-        if file.status == "written" and name not in structure.poses:
-            file.status = "not registered"
-            file.reason = (
-                f"COLMAP finds no pose: {structure.features[str(name)]} features, {structure.matches[str(name)]} "
-                "verified matches with all other images"
+    for file in report.written:
+        image = capture.views[file.view].image
+        if image not in structure.poses:
+            file.drop(
+                "not registered",
+                f"COLMAP finds no pose: {structure.features[image]} features, {structure.matches[image]} verified "
+                "matches with all other images",
             )
 
 
@@ -227,7 +239,7 @@ def _write_views(
     part: Path, capture: Capture, grid: Grid, mapping: Mapping, own: dict[str, Mapping], report: Report
 ) -> None:
     """Resample and write the views that are in the scene. mapping: of thermal images but those of `own`, by view."""
-    written = [one for one in report.files if one.status == "written"]
+    written = report.written
     with step("views to write", len(written)) as count:
         for index, one in enumerate(written):
             photo = capture.rgb(one.view)

@@ -24,6 +24,10 @@ class FileReport:
     invalid: float = 0.0  # share of the output's pixels without a measured value
     origin: str = ""  # the camera's file that another program computed `file` of
 
+    def drop(self, status: Status, reason: str) -> None:
+        """Keep it out of the scene."""
+        self.status, self.reason = status, reason
+
 
 @dataclass
 class Report:
@@ -46,9 +50,14 @@ class Report:
         return sum(file.status == status for file in self.files)
 
     @property
+    def written(self) -> list[FileReport]:
+        """The files that are, or are to be, in the scene."""
+        return [file for file in self.files if file.status == "written"]
+
+    @property
     def is_complete(self) -> bool:
         """True if every file became part of the scene."""
-        return self.count("written") == len(self.files)
+        return len(self.written) == len(self.files)
 
     def reasons(self) -> str:
         """Return in words why files are not in the scene, each reason once, with the first file and their number."""
@@ -75,14 +84,11 @@ class Report:
             low, high = self.temperature
             lines.append(f"  temperatures {low:.2f} to {high:.2f} °C (temperature.json)")
         if self.camera is not None:
-            others = f"; smaller models: {', '.join(map(str, self.models[1:]))} images" if self.models[1:] else ""
-            poses = f"COLMAP registers {self.models[0]} images" if self.models else "known poses"
-            error = "" if self.error_px is None else f"{self.error_px:.2f} px, "
-            lines.append(f"  {poses}: {self.points} points, {error}{self.camera}{others}")
+            lines.append(f"  {self._structure()}")
         lines += ["", "assumed:", *(f"  {text}" for text in self.assumptions)]
-        lines += ["", f"{self.count('written')} of {len(self.files)} views are in the scene"]
+        lines += ["", f"{len(self.written)} of {len(self.files)} views are in the scene"]
         lines += [f"  {f.status}: {f.file}: {f.reason}" for f in self.files if f.status != "written"]
-        partly = [f for f in self.files if f.status == "written" and f.invalid > 0]
+        partly = [f for f in self.written if f.invalid > 0]
         if partly:
             most = max(partly, key=lambda f: f.invalid)
             lines.append(
@@ -90,3 +96,9 @@ class Report:
                 f"{most.view}: see masks/"
             )
         return "\n".join(lines) + "\n"
+
+    def _structure(self) -> str:
+        others = f"; smaller models: {', '.join(map(str, self.models[1:]))} images" if self.models[1:] else ""
+        poses = f"COLMAP registers {self.models[0]} images" if self.models else "known poses"
+        error = "" if self.error_px is None else f"{self.error_px:.2f} px, "
+        return f"{poses}: {self.points} points, {error}{self.camera}{others}"

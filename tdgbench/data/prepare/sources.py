@@ -7,6 +7,7 @@ import unicodedata
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from tdgbench.data.prepare.dji import CELSIUS, JPEG, RAW, computed_of, product, shot_and_lens, stamped_apart
 from tdgbench.scenes import SceneError
@@ -16,6 +17,7 @@ from tdgbench.scenes.names import about_unread
 from tdgbench.text import first_few
 
 EXAMPLE = "--pairs '*_T.tiff' '*_V.jpg'"
+OF_VIEWS = ("", CELSIUS)  # products that a view is read from
 THERMAL, WIDE = ("T",), ("V", "W")  # DJI's lenses; Z, zoom, does not show what they do
 
 
@@ -36,9 +38,25 @@ class ViewFiles:
 class Sources:
     """What a folder holds: views, files that belong to none of them, with the reason, and what is assumed."""
 
-    views: list[ViewFiles]
+    views: list[ViewFiles] = field(default_factory=list)
     left_out: dict[Path, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+
+
+class _Images(NamedTuple):
+    """Thermal and RGB files by view name."""
+
+    thermal: dict[str, Path]
+    rgb: dict[str, Path]
+
+    def add(self, path: Path, view: str, is_thermal: bool, left_out: dict[Path, str]) -> None:
+        """Add a file, unless its view has one; of a camera's file and what was computed of it, the latter counts."""
+        known = self.thermal if is_thermal else self.rgb
+        other = known.setdefault(view, path)
+        if computed_of(path) == other:
+            known[view] = path
+        elif path != other and computed_of(other) != path:
+            left_out[path] = f"{other.name} is the same view; remove one of them"
 
 
 def find_sources(folder: Path, pairs: tuple[str, str] | None = None, thermal_alone: bool = False) -> Sources:
@@ -53,30 +71,21 @@ def find_sources(folder: Path, pairs: tuple[str, str] | None = None, thermal_alo
     """
     if not is_folder(folder):
         raise SceneError(f"{folder} is no folder; give the folder of the camera's files")
+    sources, images = Sources(), _Images({}, {})
     has_thermal, has_rgb, has_raw = (is_folder(folder / name) for name in ("thermal", "rgb", "raw_images"))
     if pairs is not None:
-        found = _Files(_matching(folder, pairs[0]), {} if thermal_alone else _matching(folder, pairs[1]))
+        images = _Images(_matching(folder, pairs[0]), {} if thermal_alone else _matching(folder, pairs[1]))
     elif thermal_alone:
-        found = _sorted(folder / "thermal" if has_thermal else folder, "thermal")
+        _sort(folder / "thermal" if has_thermal else folder, "thermal", images, sources)
     elif has_thermal and has_rgb:
-        found, photos = _sorted(folder / "thermal", "thermal"), _sorted(folder / "rgb", "rgb")
-        found = _Files(found.thermal, photos.rgb, found.left_out | photos.left_out, found.notes + photos.notes)
+        for modality in ("thermal", "rgb"):
+            _sort(folder / modality, modality, images, sources)
     else:
-        found = _sorted(folder / "raw_images" if has_raw else folder)
-    sources = _pair(found, thermal_alone)
+        _sort(folder / "raw_images" if has_raw else folder, "", images, sources)
+    _pair(images, thermal_alone, sources)
     if not sources.views:
         raise _nothing(folder, pairs, thermal_alone, sources)
     return sources
-
-
-@dataclass(frozen=True)
-class _Files:
-    """Files by view name, and what Sources has beside."""
-
-    thermal: dict[str, Path] = field(default_factory=dict)
-    rgb: dict[str, Path] = field(default_factory=dict)
-    left_out: dict[Path, str] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
 
 
 def _nothing(folder: Path, pairs: tuple[str, str] | None, thermal_alone: bool, sources: Sources) -> SceneError:
@@ -105,54 +114,54 @@ def _matching(folder: Path, pattern: str) -> dict[str, Path]:
     return views
 
 
-def _pair(files: _Files, thermal_alone: bool) -> Sources:
-    """Pair files by view name; a FLIR file without an RGB file brings its own photo."""
-    thermal, rgb = files.thermal, files.rgb
-    apart, unclear = stamped_apart(thermal.keys() - rgb.keys(), rgb.keys() - thermal.keys())
-    found = Sources([], dict(files.left_out), list(files.notes))
+def _pair(images: _Images, thermal_alone: bool, sources: Sources) -> None:
+    """Add the views: files paired by name; a FLIR file without an RGB file brings its own photo."""
+    thermal, rgb = images
+    by_number, unclear = stamped_apart(thermal.keys() - rgb.keys(), rgb.keys() - thermal.keys())
     for view, path in thermal.items():
-        photo = rgb.get(apart.get(view, view))
+        photo = rgb.get(by_number.get(view, view))
         if photo is not None or thermal_alone or _may_hold_photo(path):
-            found.views.append(ViewFiles(view, path, photo, computed_of(path)))
+            sources.views.append(ViewFiles(view, path, photo, computed_of(path)))
         else:
-            found.left_out[path] = unclear.get(view, f"no RGB image is named {view}")
-    lonely = rgb.keys() - thermal.keys() - set(apart.values())
-    found.left_out.update({path: f"no thermal image is named {view}" for view, path in rgb.items() if view in lonely})
-    if apart:
-        found.notes.append(f"{len(apart)} pairs differ by up to 2 s in their names: paired by the running number")
-    if count := sum(one.origin is not None for one in found.views):
+            sources.left_out[path] = unclear.get(view, f"no RGB image is named {view}")
+    for view in rgb.keys() - thermal.keys() - set(by_number.values()):
+        sources.left_out[rgb[view]] = f"no thermal image is named {view}"
+    if by_number:
+        sources.notes.append(f"{len(by_number)} pairs differ by up to 2 s in their names: paired by the running number")
+    if count := sum(one.origin is not None for one in sources.views):
         what = "another program computed them of the camera's JPEG beside, whose position and EXIF data hold"
-        found.notes.append(f"temperatures of {count} views: {what}")
-    return found
+        sources.notes.append(f"temperatures of {count} views: {what}")
 
 
-def _sorted(folder: Path, modality: str = "") -> _Files:
-    """Return the files of a folder, of a modality or each by its content; other lenses and products are passed over."""
-    files, passed = _Files(), []
+def _sort(folder: Path, modality: str, images: _Images, sources: Sources) -> None:
+    """Add the images of a folder, of a modality or each by its content; other lenses and products are passed over."""
     names = [path.name for path in listed(folder) if not path.name.startswith(".")]
     read = [name for name in names if Path(name).suffix.lower() in (*SUFFIXES, RAW)]
-    bases = {base for base, kind in map(product, map(_name, read)) if kind in ("", CELSIUS)}
-    for path in (folder / name for name in read):
-        (base, kind), (view, lens) = product(_name(path.name)), shot_and_lens(_name(path.name))
+    bases = {base for base, kind in map(product, map(_name, read)) if kind in OF_VIEWS}
+    passed = []
+    for path in map(folder.joinpath, read):
+        view, _ = shot_and_lens(_name(path.name))
         check_view_name(view, f"{folder}: the file {path.name!r}")
         try:
             is_thermal = modality == "thermal" if modality else is_radiometric(path)
         except SceneError as error:
-            files.left_out[path] = str(error)
+            sources.left_out[path] = str(error)
             continue
-        if lens not in ("", *(THERMAL if is_thermal else WIDE)) or (kind not in ("", CELSIUS) and base in bases):
+        if _is_of_view(path, is_thermal, bases):
+            images.add(path, view, is_thermal, sources.left_out)
+        else:
             passed.append(path.name)
-            continue
-        found = files.thermal if is_thermal else files.rgb
-        other = found.setdefault(view, path)
-        if computed_of(path) == other:
-            found[view] = path
-        elif path != other and computed_of(other) != path:
-            files.left_out[path] = f"{other.name} is the same view; remove one of them"
-    what = "are of another lens, or other products of a view's file, and are not read"
-    files.notes.extend([f"{len(passed)} files {what} ({first_few(passed)})"] if passed else [])
-    files.notes.extend(about_unread(f"{folder.name}/", (one for one in names if one not in read), {*map(_name, read)}))
-    return files
+    if passed:
+        what = "are of another lens, or other products of a view's file, and are not read"
+        sources.notes.append(f"{len(passed)} files {what} ({first_few(passed)})")
+    unread = sorted(set(names) - set(read))
+    sources.notes.extend(about_unread(f"{folder.name}/", unread, {*map(_name, read)}))
+
+
+def _is_of_view(path: Path, is_thermal: bool, bases: set[str]) -> bool:
+    """Return whether a file is of a lens that is read, and no further product. bases: names of files that are read."""
+    (base, kind), (_, lens) = product(_name(path.name)), shot_and_lens(_name(path.name))
+    return lens in ("", *(THERMAL if is_thermal else WIDE)) and (kind in OF_VIEWS or base not in bases)
 
 
 def _name(file: str) -> str:

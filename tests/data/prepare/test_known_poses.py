@@ -12,7 +12,7 @@ from tdgbench.data.prepare import known_poses
 from tdgbench.data.prepare import prepare as module
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions
-from tdgbench.scenes import SceneError
+from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tdgbench.scenes.colmap import read_model
 from tests.helpers.command import tdgbench_here
 from tests.helpers.relief import BOARD, FOCAL, HEIGHT, WALL, WIDTH, places, write_relief
@@ -97,19 +97,21 @@ def test_shipped_points_need_no_matches(tmp_path, monkeypatch):
 
 
 def test_origin_and_lens_of_a_map(tmp_path):
-    """The origin is moved to the cameras. Without features there are no points; without a lens, no scene."""
+    """Reading the scene moves its origin. Without features there are no points; without a lens, no scene."""
     (tmp_path / "camera").mkdir()
     for index in range(3):
-        Image.fromarray(np.full((HEIGHT, WIDTH), 20, np.float32)).save(tmp_path / "camera" / f"{index}.tiff")
-    options = table(tmp_path / "a.txt", ["0.tif", "1.tif", "2.tif"], (2.6e6, 1.2e6, 400))
+        Image.fromarray(np.float32(np.tile(np.linspace(20, 21, WIDTH), (HEIGHT, 1)))).save(tmp_path / "camera" / f"{index}.tiff")
+    origin = np.array([2.6e6, 1.2e6, 400])
+    options = table(tmp_path / "a.txt", ["0.tif", "1.tif", "2.tif"], origin)
     with pytest.raises(SceneError, match=r"a\.txt states no lens: say it by --calibration"):
         prepare_scene(tmp_path / "camera", tmp_path / "scene", options)
     options = replace(options, sfm=replace(options.sfm, focal=FOCAL))
-    report = prepare_scene(tmp_path / "camera", tmp_path / "scene", options)
-    assert "there are no points" in report.text() and "cameras' middle, 2600000.400, " in report.text()
+    assert "there are no points" in prepare_scene(tmp_path / "camera", tmp_path / "scene", options).text()
     model = read_model(tmp_path / "scene" / "sparse" / "0")
     centres = np.array([model.images[str(i)].camera.center for i in range(3)])
-    assert model.points is None and centres == pytest.approx(CENTRES[:3] - CENTRES[:3].mean(axis=0), abs=1e-6)
+    assert model.points is None and centres == pytest.approx(CENTRES[:3] + origin, abs=1e-6)
+    scene = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None)
+    assert "between the cameras" in scene.assumed["origin"] and np.abs(scene.views[0].camera.center).max() < 1
 
 
 def test_errors_say_what_to_do(tmp_path):
@@ -118,4 +120,4 @@ def test_errors_say_what_to_do(tmp_path):
     with pytest.raises(SceneError, match=r"poses of 0 of 3 images \(x, y … against 00, 01 …\); 3 are needed. Rename"):
         prepare_scene(tmp_path / "camera", tmp_path / "scene", options)
     run = tdgbench_here(tmp_path, "data", "prepare", "camera", "out", "--poses", "a.json", "--no-sfm")
-    assert run.returncode == 1 and "--poses and --no-sfm contradict each other" in run.stderr
+    assert run.returncode == 2 and "not allowed with argument --poses" in run.stderr
