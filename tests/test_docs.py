@@ -166,6 +166,12 @@ def test_lists_in_pages_are_those_of_the_code():
     assert set(phases.split(", ")) == set(re.findall(r'\.phase\("(\w+)"\)', sources))
 
 
+def test_the_glossary_has_one_row_a_word():
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    terms = [term for term in re.findall(r"^\| ([^|]+) \|", text, re.MULTILINE) if term != "term"]
+    assert len(terms) == len(set(terms)) > 50 and not any("," in term for term in terms)
+
+
 def test_the_page_of_skips_has_a_row_for_each():
     switches = yaml.safe_load((ROOT / "conf" / "skip" / "default.yaml").read_text(encoding="utf-8"))
     parts = (ROOT / "docs" / "skips.md").read_text(encoding="utf-8").split("| rule of the budget |")
