@@ -61,8 +61,7 @@ DOORS = {
     "tdgbench/scenes/formats/pictures.py": {"Image.open": OPENED, "imagecodecs.png_decode": OPENED},
     "tdgbench/scenes/formats/tiff.py": {"TiffFile": OPENED},
     "tdgbench/scenes/inputs.py": {"np.load": OPENED},
-    "tdgbench/scenes/synthetic/dataset.py": {"p.read_bytes": OURS},
-    "tdgbench/scenes/synthetic/truth.py": {"np.load": OPENED},
+    "tdgbench/scenes/synthetic/dataset.py": {"np.load": OPENED, "p.read_bytes": OURS},
     "tdgbench/scoring/backbones.py": {
         "np.load": NAMED,
         "torch.load": NAMED,

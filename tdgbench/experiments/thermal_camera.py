@@ -25,8 +25,8 @@ from tdgbench.experiments.matrix import (
     table_of,
     values_of,
 )
+from tdgbench.scenes.synthetic.capture import CameraTruth
 from tdgbench.scenes.synthetic.drifting import DriftingDataset
-from tdgbench.scenes.synthetic.truth import CameraTruth
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.palette import COLUMN
 from tdgbench.tables.show import format_columns, show_table

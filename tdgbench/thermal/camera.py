@@ -17,7 +17,7 @@ import numpy as np
 from tdgbench.thermal.maps import evaluate
 
 if TYPE_CHECKING:
-    from tdgbench.scenes.synthetic.truth import CameraTruth
+    from tdgbench.scenes.synthetic.capture import CameraTruth
 
 
 class ViewResponses(NamedTuple):

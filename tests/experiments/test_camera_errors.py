@@ -4,7 +4,7 @@ import pytest
 from tdgbench.cells.record import Record
 from tdgbench.experiments.thermal_camera import camera_errors
 from tdgbench.scenes.synthetic import ThermalErrors
-from tdgbench.scenes.synthetic.truth import CameraTruth
+from tdgbench.scenes.synthetic.capture import CameraTruth
 from tdgbench.thermal.camera import normalized_truth
 from tdgbench.thermal.maps import TERMS, legendre_basis
 

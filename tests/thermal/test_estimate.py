@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import FolderDataset, PointCloud, ReadOptions, View
-from tdgbench.scenes.synthetic.truth import read_truth
+from tdgbench.scenes.synthetic.dataset import read_truth
 from tdgbench.thermal import ThermalCamera, Unknown, estimate_camera
 from tdgbench.thermal.camera import normalized_truth
 from tdgbench.thermal.maps import evaluate

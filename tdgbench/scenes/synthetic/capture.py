@@ -88,6 +88,18 @@ class TrueCamera:
         return response + noise + self.offsets[view]
 
 
+@dataclass(frozen=True)
+class CameraTruth:
+    """A camera, and the names of its views (V,)."""
+
+    names: list[str]
+    camera: TrueCamera
+
+    def index(self, names: list[str]) -> np.ndarray:
+        """Return positions (N,) of views among the camera's."""
+        return np.array([self.names.index(name) for name in names])
+
+
 def vignette(width: int, height: int, right: float = 0.0, down: float = 0.0) -> np.ndarray:
     """Return a radial polynomial (height, width): 0 at its centre, 1 at the image's corner that is farthest away.
 

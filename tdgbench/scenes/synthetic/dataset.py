@@ -16,18 +16,26 @@ from numpy.random import Generator
 from PIL import Image
 from pydantic import Field, NonNegativeInt
 
+from tdgbench.files import opened
 from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.datasets import Outlines
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import check_scene_name
+from tdgbench.scenes.inputs import check_scene_name, decoding, is_there, regular_file
 from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
 from tdgbench.scenes.read import Outline, outline_scene
 from tdgbench.scenes.scene import PointCloud
-from tdgbench.scenes.synthetic.capture import CaptureErrors, Encoding, TrueRig, levels, limits
+from tdgbench.scenes.synthetic.capture import (
+    CameraTruth,
+    CaptureErrors,
+    Encoding,
+    TrueCamera,
+    TrueRig,
+    levels,
+    limits,
+)
 from tdgbench.scenes.synthetic.render import World, local_rays, look_at, render_world
-from tdgbench.scenes.synthetic.truth import CameraTruth, write_truth
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.scenes.temperature import FILE
 
@@ -35,6 +43,9 @@ PALETTE = np.round(matplotlib.colormaps["inferno"](np.arange(256))[:, :3] * 255)
 RGB_NOISE = 0.01  # standard deviation, of [0, 1]
 POINT_NOISE = 0.004  # standard deviation, × depth
 OUTLIERS = 0.02  # share of the sparse points
+FOLDER = "camera"  # inside the scene's; no reader of scenes opens its files
+CAMERA, RIG = "camera.npz", "rig.json"
+REMEDY = "delete the scene's folder"
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,3 +194,28 @@ def _sparse_points(shown: list[tuple[Camera, np.ndarray, np.ndarray]], count: in
         low, high = np.percentile(cloud, [5, 95], axis=0)
         cloud[outlier] = rng.uniform(low, high, (int(outlier.sum()), 3))
     return PointCloud(cloud, color)
+
+
+def write_truth(scene: Path, truth: CameraTruth, rig: TrueRig) -> None:
+    """Write the camera's fields as arrays, maps (H, W) in float32, and a rig, if there is one. scene: its folder."""
+    (scene / FOLDER).mkdir()
+    known = {name: value for name, value in vars(truth.camera).items() if value is not None}
+    known |= {name: known[name].astype(np.float32) for name in ("vignette", "pattern")}
+    np.savez(scene / FOLDER / CAMERA, names=np.array(truth.names), **known)
+    if rig != TrueRig():
+        (scene / FOLDER / RIG).write_text(json.dumps(asdict(rig), indent=1) + "\n", encoding="utf-8")
+
+
+def read_truth(scene: Path) -> CameraTruth:
+    """Read the true camera from a synthetic scene's folder. Raises SceneError if it has none, or a damaged file."""
+    path = scene / FOLDER / CAMERA
+    if not is_there(path):
+        raise SceneError(f"{scene} has no {FOLDER}/{CAMERA}; synthetic scenes do, if their thermal camera is not ideal")
+    with (
+        decoding(path, "a true camera", REMEDY),
+        opened(regular_file(path)) as content,
+        np.load(content, allow_pickle=False) as file,
+    ):
+        stored = dict(file)
+        names = stored.pop("names").tolist()
+        return CameraTruth(names, TrueCamera(reference=float(stored.pop("reference")), **stored))

@@ -14,8 +14,7 @@ from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scenes.options import Description
 from tdgbench.scenes.read import Outline
 from tdgbench.scenes.scene import Scene, TemperatureRange, View
-from tdgbench.scenes.synthetic.capture import DegC, ThermalErrors, levels, limits
-from tdgbench.scenes.synthetic.truth import CameraTruth
+from tdgbench.scenes.synthetic.capture import CameraTruth, DegC, ThermalErrors, levels, limits
 
 ROOM = 1.0  # °C between the values and the ends of the range
 NOISE = 9  # number of the random stream; those of the camera are others

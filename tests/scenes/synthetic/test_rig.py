@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 from hydra.utils import instantiate
@@ -6,7 +8,7 @@ from scipy.ndimage import map_coordinates
 from tdgbench.bench.options import OptionError, check_options
 from tdgbench.scenes import Camera, ReadOptions, SceneError
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, TrueRig
-from tdgbench.scenes.synthetic.truth import FOLDER, RIG, read_rig, read_truth
+from tdgbench.scenes.synthetic.dataset import FOLDER, RIG, read_truth
 from tests.helpers.configs import config
 
 SIZE = {"width": 96, "height": 72, "views": 5, "points": 300}
@@ -56,16 +58,13 @@ def test_model_and_rgb_images_are_the_given_camera_s(tmp_path):
 def test_no_rig_changes_nothing_and_has_no_file(tmp_path):
     plain, scene = dataset(tmp_path / "a").load("night"), dataset(tmp_path / "b", TrueRig([0, 0, 0])).load("night")
     assert plain.fingerprint == scene.fingerprint and plain.folder.name == scene.folder.name
-    with pytest.raises(SceneError, match=r"has no camera/rig\.json"):
-        read_rig(plain.folder)
+    assert not (plain.folder / FOLDER).exists()
 
 
-def test_the_truth_is_read_as_it_was(tmp_path):
+def test_the_truth_is_written(tmp_path):
     scene = dataset(tmp_path, RIG_OF_ALL).load("night")
-    assert read_rig(scene.folder) == RIG_OF_ALL and not read_truth(scene.folder).camera.offsets.any()
-    (scene.folder / FOLDER / RIG).write_text('{"offset": 3}', encoding="utf-8")
-    with pytest.raises(SceneError, match=r"rig\.json cannot be read"):
-        read_rig(scene.folder)
+    assert TrueRig(**json.loads((scene.folder / FOLDER / RIG).read_text(encoding="utf-8"))) == RIG_OF_ALL
+    assert not read_truth(scene.folder).camera.offsets.any()
 
 
 def test_undistorted_places_are_distorted_as_in_opencv():

@@ -5,7 +5,7 @@ import pytest
 
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
-from tdgbench.scenes.synthetic.truth import FOLDER, read_truth
+from tdgbench.scenes.synthetic.dataset import FOLDER, read_truth
 from tests.helpers.layouts import celsius
 
 SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}

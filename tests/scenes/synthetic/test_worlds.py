@@ -4,7 +4,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from tdgbench.scenes import ReadOptions
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
-from tdgbench.scenes.synthetic.truth import read_truth
+from tdgbench.scenes.synthetic.dataset import read_truth
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tests.helpers.scenes import small_dataset
 
