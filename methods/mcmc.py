@@ -12,8 +12,8 @@ import torch
 from pydantic import NonNegativeFloat
 from torch import Tensor
 
-from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.density import DensityChange, DensityControl, DensityRules, GrowthDecision
+from tdgbench.splats.geometry import rotation_matrices
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState

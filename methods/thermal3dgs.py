@@ -17,14 +17,14 @@ from torch.nn import functional as F
 
 from methods.deformable import ADAM, Trunk, encoded, encoded_size, falling, seconds_of
 from tdgbench.splats import Gaussians
-from tdgbench.splats.backends.reference import seen_colors
+from tdgbench.splats.geometry import seen_colors
+from tdgbench.splats.torch_losses import without_masked
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import l1_and_dssim
 from tdgbench.training.method import Frame, Method, Share, Step
 from tdgbench.training.part import Network, State
-from tdgbench.training.torch_losses import without_masked
 
 HARRIS = 0.04  # find_corners
 

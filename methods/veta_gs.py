@@ -18,8 +18,7 @@ from torch.nn import functional as F
 from methods.canny import canny
 from methods.deformable import ADAM, Trunk, encoded, encoded_size, falling, seconds_of
 from tdgbench.splats import Gaussians
-from tdgbench.splats.backends.reference import seen_colors, visible_radii
-from tdgbench.splats.pose import multiply_quaternions
+from tdgbench.splats.geometry import multiply_quaternions, seen_colors, visible_radii
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL

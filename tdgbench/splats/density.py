@@ -19,15 +19,11 @@ import torch
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 from torch import Tensor
 
-from tdgbench.splats.backends.reference import rotation_matrices
-from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.scratch import free_buffers
-from tdgbench.splats.cpu.statistics import EMPTY, GradientStatistics, observe_visible
 from tdgbench.splats.gaussians import Gaussians
-from tdgbench.splats.gradients import Gradients, PendingGradients
+from tdgbench.splats.geometry import rotation_matrices
+from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
-from tdgbench.splats.warp import fuses
 
 GradientKind = Literal["signed", "absolute"]
 
@@ -143,40 +139,13 @@ class DensityControl:
 
     def observe_visible(self, view: Gradients | PendingGradients) -> None:
         """Count a view for its visible Gaussians, and update their largest radii."""
-        if self._is_fast:
-            counts, radii = self.view_counts.numpy(), self.max_radii.numpy()
-            rows = (view.projected.numpy(), view.radii.numpy(), counts, radii)
-            items = sum(count for _, count in view.projected_spans)
-            calls = [(*span, *rows) for span in view.projected_spans]
-            pool.run(observe_visible, calls, items=items, each=pool.ROWS_EACH)
-            return
-        if fuses(self.view_counts):
-            from tdgbench.splats.warp import statistics
-
-            statistics.observe_visible(view.compute(), self.view_counts, self.max_radii)
-            return
-        radii = view.compute().all_radii(len(self.state))
-        self.view_counts += radii > 0
-        self.max_radii.copy_(torch.maximum(self.max_radii, radii))
+        self.state.backend.observe_visible(view, self.view_counts, self.max_radii)
 
     def observe_gradients(self, gradients: Gradients, width: int, height: int) -> None:
         """Accumulate the gradients of a view of width × height px."""
         if self.rules.uses_absolute and gradients.image.shape[1] < 5:
             raise ValueError("these gradients lack the absolute ones: render the view with absgrad=True")
-        if self._is_fast:
-            gradients.observe(self.statistics(width, height))
-            return
-        if fuses(self.grad_sum):
-            from tdgbench.splats.warp import statistics
-
-            half = (0.5 * width, 0.5 * height)
-            statistics.observe_gradients(gradients, half, self.grad_sum, self.absolute_sum)
-            return
-        index, _, image = gradients.rows()
-        for total, first in ((self.grad_sum, 0), (self.absolute_sum, 3)):
-            if len(total):
-                norm = torch.hypot(image[:, first] * (0.5 * width), image[:, first + 1] * (0.5 * height))
-                total.index_add_(0, index, torch.where(image[:, 2] > 0, norm, 0.0))
+        self.state.backend.observe_gradients(gradients, self.statistics(width, height))
 
     def observe(self, views: Sequence[TrainingView]) -> None:
         """Accumulate the gradients of an iteration's views, which are computed."""
@@ -184,13 +153,8 @@ class DensityControl:
             self.observe_gradients(view.gradients.compute(), view.width, view.height)
 
     def statistics(self, width: int, height: int) -> GradientStatistics:
-        """Return where the kernels accumulate the gradients of a view of width × height px; float32 on the CPU."""
-        absolute = self.absolute_sum.numpy() if self.rules.uses_absolute else EMPTY
-        return GradientStatistics(self.grad_sum.numpy(), 0.5 * width, 0.5 * height, True, absolute)
-
-    @property
-    def _is_fast(self) -> bool:
-        return self.grad_sum.device.type == "cpu" and self.grad_sum.dtype == torch.float32
+        """Return where the gradients of a view of width × height px are accumulated."""
+        return GradientStatistics(self.grad_sum, self.absolute_sum, 0.5 * width, 0.5 * height)
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return what was accumulated, as `torch.save` takes it."""
@@ -241,11 +205,11 @@ class DensityControl:
         if change.densified or change.opacity_reset:
             optimizer.flush()
         if change.densified:
-            free_buffers()  # of renders: the new Gaussians need the memory
+            self.state.backend.free_memory()  # of renders: the new Gaussians need the memory
             removed, added = self.removed_and_added(change, iteration, generator, decision)
             self.state.replace_rows(removed, added)
             self._clear()
-            free_buffers()
+            self.state.backend.free_memory()
         if change.opacity_reset:
             logit = math.log(self.rules.opacity_reset_to / (1 - self.rules.opacity_reset_to))
             for name in self.opacity_fields:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from functools import cached_property
+from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.adam import AdamStep, step_rows
-from tdgbench.splats.cpu.raster.passes import Blended
-from tdgbench.splats.cpu.scratch import empty_aligned
-from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics, observe_gradients
 
-STEPS_EACH = 8192  # rows that are worth a thread
+class GradientStatistics(NamedTuple):
+    """Sums of density control, to which the gradients of a view are added."""
+
+    grad_sum: Tensor  # (N,): lengths of the gradients by image means, in units of half the image
+    absolute_sum: Tensor  # (N,): the same of absolute gradients; (0,): not accumulated
+    half_width: float  # of the image, px
+    half_height: float
 
 
 @dataclass
@@ -46,31 +47,6 @@ class Gradients:
     def compute(self, image_only: bool = False) -> Gradients:
         """Return these gradients, as `PendingGradients.compute` does."""
         return self
-
-    def observe(self, statistics: GradientStatistics) -> None:
-        """Add the image-plane gradients of float32 rows on the CPU to density control's statistics."""
-        rows = (self.index.numpy(), self.image.numpy(), statistics)
-        calls = [(*span, *rows) for span in self.spans]
-        pool.run(observe_gradients, calls, items=self.touched, each=pool.ROWS_EACH)
-
-    def take_step(self, step: AdamStep, statistics: GradientStatistics = NO_STATISTICS) -> np.ndarray:
-        """Take a step of Adam with these float32 rows on the CPU, and `observe` them.
-
-        Returns (spans, columns of the state) float32: 1 in columns with a gradient that is not finite.
-        """
-        if statistics.active:
-            self.observe(statistics)
-        spans = self.spans
-        if len(spans) == 1:  # of a backend that does not split its rows
-            first, count = spans[0]
-            spans = [(first + a, b - a) for a, b in pool.chunks(count, pool.threads_for(count, STEPS_EACH))]
-        bad = new_flags(len(spans), step)
-        missing, values = step.rows.columns - self.columns, self.values
-        if missing > 0:
-            values = torch.nn.functional.pad(values, (0, missing))
-        rows = (self.index.numpy(), values.numpy(), step)
-        pool.run(step_rows, [(*span, *rows, flags) for span, flags in zip(spans, bad, strict=True)])
-        return bad
 
     @classmethod
     def dense(cls, values: Tensor, image: Tensor, radii: Tensor, absgrad: Tensor | None = None) -> Gradients:
@@ -111,49 +87,20 @@ class Gradients:
         return radii.new_zeros(count).index_put_((projected,), radii)
 
 
-class PendingGradients:
-    """Gradients of a view that are not computed yet, with its visible Gaussians. Use `compute` or `take_step`, once.
+class PendingGradients(ABC):
+    """Gradients of a view that are not computed yet. Its fields are those of `Gradients`.
 
-    `take_step` computes the gradients and steps the Gaussians in one pass, without storing gradients.
+    `compute` reads the gradients. Instead, the steps of the backend that made them may step the Gaussians in the pass
+    that computes them, which stores no gradient. Either is done once.
     """
 
-    def __init__(self, blended: Blended) -> None:
-        done = blended.done
-        self._blended = blended
-        self.projected_spans = done.projected_spans
-        self.columns = blended.columns
-        self.pairs, self.blended = len(done.tiles.splat_ids), int(done.visits.counts.sum())
-        self.touched = 0
+    projected_spans: list[tuple[int, int]]
+    projected: Tensor
+    radii: Tensor
+    pairs: int
+    blended: int
+    touched: int  # 0 until the step
 
-    @cached_property
-    def projected(self) -> Tensor:
-        """(capacity,) int32: Gaussians that were projected."""
-        return torch.from_numpy(self._blended.done.projected.gaussian_ids)
-
-    @cached_property
-    def radii(self) -> Tensor:
-        """(capacity,) int32 px: their radii; 0 is not visible."""
-        return torch.from_numpy(self._blended.done.projected.radii)
-
+    @abstractmethod
     def compute(self, image_only: bool = False) -> Gradients:
         """Compute the gradients as rows. image_only: without those of parameters, so that `values` has no columns."""
-        rows = self._blended.rows(image_only)
-        index, values, image = map(torch.from_numpy, rows.arrays)
-        lease = (rows.workspace, self._blended.done.workspace)
-        return Gradients(
-            rows.spans, index, values, image, self.projected_spans, self.projected, self.radii, self.pairs,
-            self.blended, lease,
-        )  # fmt: skip
-
-    def take_step(self, step: AdamStep, statistics: GradientStatistics) -> np.ndarray:
-        """Take a step of Adam and add to density control's statistics, as `Gradients.take_step`, in one pass."""
-        bad = new_flags(len(self._blended.done.splat_spans), step)
-        self.touched = self._blended.step(step, statistics, bad)
-        return bad
-
-
-def new_flags(spans: int, step: AdamStep) -> np.ndarray:
-    """Return (spans, columns of the state) float32 zeros, in which a step marks columns with bad gradients."""
-    flags = empty_aligned((spans, step.rows.stride), np.float32)
-    flags[:] = 0
-    return flags

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 import torch
@@ -97,41 +97,54 @@ def load_ply(path: Path, inside: Path | None = None) -> Gaussians:
         raise ValueError(f"{path} is not a 3DGS model: {error}") from error
 
 
-def _read(file: BinaryIO, vertex: PlyElement) -> Gaussians:
-    """Read the rows of a model. Raises ValueError as `load_ply`."""
-    names = [p.name for p in vertex.properties]
+class _Layout(NamedTuple):
+    """Columns of a file's rows."""
+
+    rest: int  # harmonics coefficients per channel beyond the first
+    fields: dict[str, list[str]]  # columns of each field but `sh`
+    shapes: dict[str, tuple[int, ...]]  # of one Gaussian's value of each further field
+
+    @property
+    def sh(self) -> list[str]:
+        """Columns of the harmonics by basis, as in memory; in the file they are channel by channel."""
+        rest = [f"f_rest_{c * self.rest + b}" for b in range(self.rest) for c in range(3)]
+        return [*(f"f_dc_{c}" for c in range(3)), *rest]
+
+
+def _layout(names: list[str]) -> _Layout:
+    """Return the layout of a file with some columns. Raises ValueError if one is missing."""
     rest = sum(name.startswith("f_rest_") for name in names) // 3
     if rest + 1 not in map(num_bases, range(MAX_DEGREE + 1)):
         raise ValueError(f"{rest} f_rest coefficients per channel are no SH degree from 0 to {MAX_DEGREE}")
     missing = {*_columns(rest)} - {*names, "nx", "ny", "nz"}
     if missing:
         raise ValueError(f"it has no {', '.join(sorted(missing))}")
-    extra = _extra_shapes([name for name in names if name not in _columns(rest)])
-    columns = {
+    shapes = _extra_shapes([name for name in names if name not in _columns(rest)])
+    fields = {
         "means": [*"xyz"],
         "log_scales": [f"scale_{i}" for i in range(3)],
         "quats": [f"rot_{i}" for i in range(4)],
         "opacity_logits": ["opacity"],
-        **{name: [_column(name, at) for at in np.ndindex(*shape)] for name, shape in extra.items()},
+        **{name: [_column(name, at) for at in np.ndindex(*shape)] for name, shape in shapes.items()},
     }
-    # by basis, as in memory; in the file they are channel by channel
-    of_sh = [f"f_dc_{c}" for c in range(3)] + [f"f_rest_{c * rest + b}" for b in range(rest) for c in range(3)]
-    read = {name: torch.empty(len(vertex), len(of_field)) for name, of_field in columns.items()}
-    sh = torch.empty(len(vertex), rest + 1, 1)
+    return _Layout(rest, fields, shapes)
+
+
+def _read(file: BinaryIO, vertex: PlyElement) -> Gaussians:
+    """Read the rows of a model. Raises ValueError as `load_ply`."""
+    layout = _layout([p.name for p in vertex.properties])
+    read = {name: torch.empty(len(vertex), len(columns)) for name, columns in layout.fields.items()}
+    sh = torch.empty(len(vertex), layout.rest + 1, 1 if len(vertex) else 3)
     for start, rows in _pieces(file, vertex.data):
         here = slice(start, start + len(rows))
-        for name, of_field in columns.items():
-            read[name][here] = _finite(rows, of_field, start)
-        colors = _finite(rows, of_sh, start).unflatten(1, (rest + 1, 3))
+        for name, columns in layout.fields.items():
+            read[name][here] = _finite(rows, columns, start)
+        colors = _finite(rows, layout.sh, start).unflatten(1, (layout.rest + 1, 3))
         if sh.shape[2] == 1 and not bool((colors == colors[..., :1]).all()):
             sh = sh.repeat(1, 1, 3)
         sh[here] = colors[..., : sh.shape[2]]
-    if not len(vertex):
-        sh = sh.repeat(1, 1, 3)
-    return Gaussians(
-        read["means"], read["log_scales"], read["quats"], read["opacity_logits"].squeeze(1), sh,
-        {name: read[name].unflatten(1, shape) for name, shape in extra.items()},
-    )  # fmt: skip
+    extra = {name: read.pop(name).unflatten(1, shape) for name, shape in layout.shapes.items()}
+    return Gaussians(**{**read, "opacity_logits": read["opacity_logits"].squeeze(1)}, sh=sh, extra_fields=extra)
 
 
 def _pieces(file: BinaryIO, data: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:

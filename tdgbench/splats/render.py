@@ -7,8 +7,8 @@ from torch import Tensor
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.backends.backend import Collect, StateOptions, SumFootprints
 from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.geometry import with_pose_gradient
 from tdgbench.splats.optimizer import Adam
-from tdgbench.splats.pose import with_pose_gradient
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render, RenderOptions
 
@@ -67,4 +67,4 @@ def render_state(
     """Render one view of a state in training; the backward pass calls collect(Gradients)."""
     like = state.values
     chosen = choose_backend(backend, like.device, like.dtype)
-    return load_backend(chosen).render_state(state, optimizer, camera, options, collect)
+    return load_backend(chosen).render_state(state, optimizer.row_steps, camera, options, collect)

@@ -3,36 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.columns import COLORS_AT, LEAST_COLUMNS, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
-from tdgbench.splats.cpu.scratch import empty_rows, free_buffers
+from tdgbench.splats.backends import backend_for
+from tdgbench.splats.backends.backend import Backend
+from tdgbench.splats.columns import COLORS_AT, GEOMETRY_SIZES, LEAST_COLUMNS, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 from tdgbench.splats.gaussians import Gaussians
+from tdgbench.splats.stepping import RowArrays
 
 MEANS, SCALES = slice(MEANS_AT, MEANS_AT + 3), slice(SCALES_AT, SCALES_AT + 3)
 QUATS = slice(QUATS_AT, QUATS_AT + 4)
-GEOMETRY_SIZES = np.diff([MEANS_AT, QUATS_AT, SCALES_AT, OPACITY_AT, COLORS_AT]).tolist()  # columns, in their order
-GROWTH = 3.0  # of the capacity, when it is used up; on a CPU, memory that was never written costs nothing
-GROWTH_ON_GPU = 1.5  # where it does
 REORDER_AT = 1.25  # times as many Gaussians as when they were last ordered in space
 AXIS_BITS = 21
 CHUNK_ROWS = 100_000  # converted to double precision at once
 COLUMNS_AT_ONCE = 4  # that are reordered
 ROWS = ("_values", "_first", "_second", "_bounds", "_clocks")  # arrays with one row per Gaussian
-
-
-class StateArrays(NamedTuple):
-    """Rows of a `TrainingState`: its properties of the same names."""
-
-    values: np.ndarray
-    first: np.ndarray
-    second: np.ndarray
-    bounds: np.ndarray
-    clocks: np.ndarray
 
 
 class TrainingState:
@@ -42,15 +31,17 @@ class TrainingState:
     added and removed without copying the others.
     """
 
-    def __init__(self, gaussians: Gaussians) -> None:
+    def __init__(self, gaussians: Gaussians, backend: Backend | None = None) -> None:
+        """backend: what trains them; by default the fast one for such tensors."""
         count, self.bases, self.channels = len(gaussians), *gaussians.sh.shape[1:]
         self._extra = _columns_after(COLORS_AT + self.bases * self.channels, gaussians.extra_fields)
         self.columns = max([COLORS_AT + self.bases * self.channels, *(at.stop for at, _ in self._extra.values())])
         self.count = count
-        self._arrays: StateArrays | None = None  # of the current rows
+        self._arrays: RowArrays | None = None  # of the current rows
         like = gaussians.means.detach()
+        self.backend = backend or backend_for(like)
         shape = (max(count, 1), max(self.columns, LEAST_COLUMNS))
-        self._values, self._first, self._second = (_allocate(like, shape, zeros=True) for _ in range(3))
+        self._values, self._first, self._second = (self.backend.new_rows(like, shape, zeros=True) for _ in range(3))
         self._clocks = torch.zeros(shape[0], 2, dtype=torch.int32, device=like.device)
         self.now = 0  # steps of the optimiser so far
         self._write(gaussians, self.values)
@@ -88,11 +79,11 @@ class TrainingState:
         """(N, 2) int32: steps up to which moments and parameters are current."""
         return self._clocks[: self.count]
 
-    def arrays(self) -> StateArrays:
+    def arrays(self) -> RowArrays:
         """Return the rows as NumPy arrays, which share the memory of float32 rows on the CPU."""
         if self._arrays is None:
             tensors = (self.values, self.first, self.second, self.bounds, self.clocks)
-            self._arrays = StateArrays(*(tensor.numpy() for tensor in tensors))
+            self._arrays = RowArrays(*(tensor.numpy() for tensor in tensors))
         return self._arrays
 
     def split(self, rows: Tensor) -> Gaussians:
@@ -199,7 +190,7 @@ class TrainingState:
         """Restore what `state_dict` returned, for Gaussians of the same layout."""
         self.count, self._arrays = len(saved["_values"]), None
         for name in ROWS:
-            array = _allocate(getattr(self, name), (max(self.count, 1), saved[name].shape[1]))
+            array = self.backend.new_rows(getattr(self, name), (max(self.count, 1), saved[name].shape[1]))
             array[: self.count] = saved[name]
             setattr(self, name, array)
         self.now, self._ordered_at = saved["now"], saved["ordered_at"]
@@ -208,14 +199,14 @@ class TrainingState:
         """Raise the capacity to `count` rows or more."""
         if count <= len(self._values):
             return
-        capacity, self._arrays = capacity_for(count, self._values.device), None
+        capacity, self._arrays = int(count * self.backend.capacity_growth), None
         for name in ROWS:
             old = getattr(self, name)
-            larger = _allocate(old, (capacity, old.shape[1]))
+            larger = self.backend.new_rows(old, (capacity, old.shape[1]))
             larger[: self.count] = old[: self.count]
             setattr(self, name, larger)
             del old, larger
-            free_buffers()  # C's allocator may hold the old array: it is not always a mapping of its own
+            self.backend.free_memory()  # C's allocator may hold the old array: it is not always a mapping of its own
 
 
 def _columns_after(first: int, extra_fields: dict[str, Tensor]) -> dict[str, tuple[slice, tuple[int, ...]]]:
@@ -228,21 +219,9 @@ def _columns_after(first: int, extra_fields: dict[str, Tensor]) -> dict[str, tup
     return found
 
 
-def capacity_for(count: int, device: torch.device) -> int:
-    """Return how many rows are allocated when `count` are needed."""
-    return int(count * (GROWTH if device.type == "cpu" else GROWTH_ON_GPU))
-
-
 def compact(tensor: Tensor) -> Tensor:
     """Return the tensor on the CPU in a storage of its size: `torch.save` writes whole storages."""
     return torch.from_numpy(tensor.detach().cpu().numpy())
-
-
-def _allocate(like: Tensor, shape: tuple[int, int], zeros: bool = False) -> Tensor:
-    """Return an uninitialised tensor, or zeros, of the type and device of `like`; see `empty_rows` for the CPU's."""
-    if like.device.type == "cpu" and like.dtype == torch.float32:
-        return torch.from_numpy(empty_rows(*shape, zeros=zeros))
-    return like.new_zeros(shape) if zeros else like.new_empty(shape)
 
 
 def _z_order(means: Tensor) -> Tensor:

@@ -31,8 +31,8 @@ from torch import Tensor
 from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import SumFootprints
-from tdgbench.splats.backends.reference import rotation_matrices
 from tdgbench.splats.density import GrowthDecision, strongest
+from tdgbench.splats.geometry import rotation_matrices
 from tdgbench.splats.render import footprint_sums, render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.curriculum import Curriculum

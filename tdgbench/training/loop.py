@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from tdgbench.splats.cpu.losses.fused_losses import keep_prepared
 from tdgbench.splats.transfer import received
-from tdgbench.training.losses import keep_prepared
 from tdgbench.training.method import Step
 from tdgbench.training.part import NonFiniteError, Part, Stopping, TrainingError
 from tdgbench.training.trainer import Trainer

@@ -13,7 +13,7 @@ from torch import Tensor
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook
-from tdgbench.splats.pose import to_camera_space
+from tdgbench.splats.geometry import to_camera_space
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.part import Part, Report, State
 

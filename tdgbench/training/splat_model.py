@@ -13,9 +13,8 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
 from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.scratch import free_buffers
-from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics
 from tdgbench.splats.density import TrainingView
-from tdgbench.splats.gradients import Gradients, PendingGradients
+from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
@@ -225,7 +224,7 @@ class SplatModel(Part):
 
     def _gradients_of(
         self, views: list[TrainingView], iteration: int
-    ) -> tuple[Gradients | PendingGradients | None, GradientStatistics]:
+    ) -> tuple[Gradients | PendingGradients | None, GradientStatistics | None]:
         """Sum the gradients of the views, and add them to density control's statistics.
 
         The gradients of a single view stay pending if only the optimiser needs them; the step then adds them to the
@@ -234,12 +233,12 @@ class SplatModel(Part):
         observes = self.density.is_active(self._iteration)
         if len(views) == 1 and isinstance(views[0].gradients, PendingGradients) and not self.density.is_due(iteration):
             (view,) = views
-            return view.gradients, self.density.statistics(view.width, view.height) if observes else NO_STATISTICS
+            return view.gradients, self.density.statistics(view.width, view.height) if observes else None
         is_round = self.density.is_round(iteration)
         for view in views:
             view.gradients = view.gradients.compute(image_only=is_round)
         if observes:
             self.density.observe(views)
         if not views or is_round:  # no step follows
-            return None, NO_STATISTICS
-        return Gradients.total([view.gradients.compute() for view in views], len(self.state)), NO_STATISTICS
+            return None, None
+        return Gradients.total([view.gradients.compute() for view in views], len(self.state)), None

@@ -21,7 +21,7 @@ def _apply(index, rows, deferred):
 
 def apply_deferred_steps(optimizer: Adam, index: np.ndarray) -> None:
     """Apply the deferred steps of the rows of index, int32 (n,)."""
-    stale = optimizer.stale()
+    stale = optimizer.row_steps.stale()
     if stale.deferred.now > stale.flushed:
         _apply(index, stale.rows, stale.deferred)
 

@@ -130,11 +130,9 @@ def install(costs: Costs) -> None:
 
     import warp as wp
 
-    from tdgbench.splats import density, optimizer
-    from tdgbench.splats import warp as package
+    from tdgbench.splats import backends
     from tdgbench.splats.backends.warp import WarpBackend
     from tdgbench.splats.warp import adam, arrays, losses, passes, statistics
-    from tdgbench.training import losses as training_losses
 
     def pin(tensor: torch.Tensor) -> torch.Tensor:
         costs.pinned.add(tensor.data_ptr())
@@ -161,8 +159,7 @@ def install(costs: Costs) -> None:
     wp.utils.array_scan, wp.utils.radix_sort_pairs = map(counted, (wp.utils.array_scan, wp.utils.radix_sort_pairs))
     for module in (arrays, passes, adam, losses, statistics):
         module.array, module.on_stream = array, lambda device: nullcontext()
-    for module in (package, optimizer, density, training_losses):
-        module.fuses = lambda tensor: tensor.device.type == NAME
+    backends.FAST[NAME] = ("warp",)
     os.environ["TDGBENCH_WARP_LANES"] = "1"
     WarpBackend.device = NAME  # type: ignore[assignment, method-assign]
     WarpBackend.takes = lambda self, device, dtype: True  # type: ignore[method-assign]

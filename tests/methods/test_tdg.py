@@ -4,9 +4,9 @@ import torch
 from methods.tdg import DepthTarget, comparable_depth, decay_weight, switch_weight
 from methods.tdg import depth_loss as loss_against
 from tdgbench.priors import DepthPrior
+from tdgbench.splats.torch_losses import ssim_map
 from tdgbench.splats.view import Render
 from tdgbench.training.skips import Skips
-from tdgbench.training.torch_losses import ssim_map
 from tests.helpers.training import digest, trained
 
 

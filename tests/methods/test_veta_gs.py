@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from methods.veta_gs import direction_of, edge_map, principal_axes, stretched_rotations
-from tdgbench.splats.backends.reference import rotation_matrices
+from tdgbench.splats.geometry import rotation_matrices
 from tdgbench.splats.view import Pinhole
 from tdgbench.training.losses import l1_and_dssim, photometric
 from tests.helpers.configs import config

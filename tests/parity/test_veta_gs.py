@@ -13,7 +13,7 @@ from methods.veta_gs import (
     direction_of,
 )
 from tdgbench.splats import Gaussians
-from tdgbench.splats.backends.reference import rotation_matrices
+from tdgbench.splats.geometry import rotation_matrices
 from tdgbench.splats.view import Pinhole
 from tests.parity.originals import original, relative
 

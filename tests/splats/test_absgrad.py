@@ -7,7 +7,7 @@ import torch
 from tdgbench.splats import rasterization
 from tdgbench.splats.backends import backend, load_backend, reference
 from tdgbench.splats.blending import AS_3DGS
-from tdgbench.splats.cpu.statistics import GradientStatistics
+from tdgbench.splats.gradients import GradientStatistics
 from tests.helpers.gaussians import random_gaussians, turned_camera
 from tests.helpers.training import ready_to_train, train
 from tests.splats.backward_passes import COUNT, HEIGHT, WIDTH, backward_pass, cloud
@@ -70,11 +70,11 @@ def test_one_pass_leaves_the_bytes_of_two(channels, used):
     left = []
     for absgrad, read_first in ((True, False), (True, True), (False, False)):
         done = backward_pass(cloud(channels, 2), "cpu", used, absgrad=absgrad)
-        sums = np.zeros((2, COUNT), np.float32)
-        statistics = GradientStatistics(sums[0], 0.5 * WIDTH, 0.5 * HEIGHT, True, sums[1] if absgrad else sums[1, :0])
+        sums = torch.zeros(2, COUNT)
+        statistics = GradientStatistics(sums[0], sums[1] if absgrad else sums[1, :0], 0.5 * WIDTH, 0.5 * HEIGHT)
         gradients = done.gradients.compute() if read_first else done.gradients
         done.optimizer.step(gradients, 1, statistics=statistics)
-        left.append([done.state.values.numpy().tobytes(), sums[0].tobytes(), sums[1].tobytes()])
+        left.append([done.state.values.numpy().tobytes(), sums[0].numpy().tobytes(), sums[1].numpy().tobytes()])
     assert left[0] == left[1] and left[0][:2] == left[2][:2]
     signed, absolute = (np.frombuffer(total, np.float32) for total in left[0][1:])
     assert (absolute >= 0.999 * signed).all() and absolute.sum() > 1.5 * signed.sum()

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from tdgbench.splats import Gaussians
-from tdgbench.splats.optimizer import FLUSH_EVERY, Adam
+from tdgbench.splats.cpu.deferred_steps import FLUSH_EVERY
+from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.ply import load_ply, save_ply
 from tdgbench.splats.state import TrainingState
 from tests.helpers.deferred import step_gradients

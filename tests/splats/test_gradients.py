@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.statistics import GradientStatistics
-from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.gradients import Gradients, GradientStatistics
 from tests.splats.backward_passes import COUNT, HEIGHT, WIDTH, backward_pass, cloud
 
 
@@ -37,7 +36,7 @@ def test_the_sum_of_two_views():
 
 
 def watching(count: int = COUNT) -> GradientStatistics:
-    return GradientStatistics(np.zeros(count, np.float32), 0.5 * WIDTH, 0.5 * HEIGHT, True)
+    return GradientStatistics(torch.zeros(count), torch.zeros(0), 0.5 * WIDTH, 0.5 * HEIGHT)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -52,7 +51,9 @@ def test_one_pass_leaves_the_bytes_of_two(threads, channels, used):
         done.optimizer.step(gradients, 1, statistics=statistics)
         state = done.state
         arrays = (state.values, state.first, state.second, state.bounds, state.clocks)
-        left.append(([array.numpy().tobytes() for array in arrays], statistics.grad_sum.tobytes(), gradients.touched))
+        left.append(
+            ([array.numpy().tobytes() for array in arrays], statistics.grad_sum.numpy().tobytes(), gradients.touched)
+        )
     assert left[0] == left[1] and left[0][2] > 300
 
 
@@ -74,7 +75,7 @@ def test_without_a_watch_nothing_is_observed():
 def test_a_gradient_that_is_not_finite_is_named(name):
     """The sum of opacity's moments, or of a channel's, is infinite."""
     done = backward_pass(cloud(1, 0), "cpu", 0)
-    blended = done.gradients._blended
-    slots = blended.slots.values[: len(blended.slots.written) * 8].reshape(-1, 8)  # six moments, colour, depth
+    slots = done.gradients.slots
+    slots = slots.values[: len(slots.written) * 8].reshape(-1, 8)  # six moments, colour, depth
     slots[:, {"opacity_logits": 0, "sh": 6}[name]] = np.inf
     assert done.optimizer.step(done.gradients, 1) == name

@@ -4,7 +4,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from tdgbench.splats.pose import multiply_quaternions, quaternion_of_rotation
+from tdgbench.splats.geometry import multiply_quaternions, quaternion_of_rotation
 from tdgbench.splats.rasterization import rasterization
 
 WIDTH, HEIGHT = 40, 32

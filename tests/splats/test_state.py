@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu.scratch import empty_rows
-from tdgbench.splats.state import REORDER_AT, TrainingState, capacity_for
+from tdgbench.splats.state import REORDER_AT, TrainingState
 from tests.helpers.gaussians import model
 
 
@@ -91,7 +91,3 @@ def test_positions_that_are_not_finite_do_not_stop_it():
     given.means[1, 0] = torch.nan
     state = TrainingState(given)
     assert np.isnan(state.values[:, 0].numpy()).sum() == 1
-
-
-def test_memory_that_is_never_written_is_spared_on_a_gpu():
-    assert capacity_for(1000, torch.device("cpu")) == 3000 and capacity_for(1000, torch.device("cuda")) == 1500

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
-from tdgbench.training import losses
+from tdgbench.splats.cpu.losses import fused_losses
+from tdgbench.splats.cpu.losses.fused_losses import PreparedTargets
+from tdgbench.splats.torch_losses import Blur, ValidPixels, ssim_map
 from tdgbench.training.losses import (
-    PreparedTargets,
-    ValidPixels,
     inverse_expected_depth,
     l1,
     l1_and_dssim,
@@ -18,7 +18,6 @@ from tdgbench.training.losses import (
     ssim,
     thermal_loss,
 )
-from tdgbench.training.torch_losses import Blur, ssim_map
 from tests.helpers.masks import masks
 
 
@@ -227,8 +226,8 @@ def test_a_masked_loss_does_not_depend_on_the_threads():
 
 
 def test_an_image_is_prepared_once(monkeypatch):
-    calls, prepare = [], losses.prepare_target
-    monkeypatch.setattr(losses, "prepare_target", lambda *args: calls.append(1) or prepare(*args))
+    calls, prepare = [], fused_losses.prepare_target
+    monkeypatch.setattr(fused_losses, "prepare_target", lambda *args: calls.append(1) or prepare(*args))
     kept, image, mask = PreparedTargets(), torch.rand(20, 20, 1), torch.rand(20, 20) > 0.3
     assert kept.of(image, None) is kept.of(image, None) and len(calls) == 1
     masked = kept.of(image, mask)
@@ -260,9 +259,9 @@ def test_no_more_is_prepared_than_allowed():
 
 def test_images_are_kept_for_few_gaussians_alone(monkeypatch):
     image, kept = torch.rand(20, 20, 1), PreparedTargets()
-    monkeypatch.setattr(losses, "_PREPARED", kept)
-    for gaussians, is_kept in ((losses.MANY, False), (losses.MANY - 1, True)):
-        losses.keep_prepared(gaussians)
+    monkeypatch.setattr(fused_losses, "_PREPARED", kept)
+    for gaussians, is_kept in ((fused_losses.MANY, False), (fused_losses.MANY - 1, True)):
+        fused_losses.keep_prepared(gaussians)
         assert (kept.of(image, None) is kept.of(image, None)) == is_kept
 
 

@@ -6,7 +6,7 @@ import torch
 from hydra.utils import instantiate
 from torch.multiprocessing.reductions import StorageWeakRef
 
-from tdgbench.splats.gradients import PendingGradients
+from tdgbench.splats.cpu.raster.passes import Blended
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.optimizer import BLACK
 from tdgbench.training import splat_model as model_module
@@ -163,8 +163,8 @@ def bytes_of(model: SplatModel) -> dict[str, bytes]:
 @pytest.mark.parametrize(("channels", "unseen"), [(1, True), pytest.param(3, False, marks=pytest.mark.slow)])
 def test_gradients_and_step_in_one_pass_are_those_in_two(small_scene, monkeypatch, channels, unseen):
     """The same bytes after 200 iterations with density control."""
-    taken, take = [], PendingGradients.take_step
-    monkeypatch.setattr(PendingGradients, "take_step", lambda *args: taken.append(1) or take(*args))
+    taken, take = [], Blended.step
+    monkeypatch.setattr(Blended, "step", lambda *args: taken.append(1) or take(*args))
     together = one_pass(small_scene, channels, 200, unseen)
     render_state = model_module.render_state
 
@@ -188,7 +188,7 @@ def test_a_gradient_that_is_not_finite_is_named_alike(small_scene):
         render = model.render(small_scene.train[0].camera)
         render.image.sum().backward()
         (view,) = model._views
-        view.gradients._blended.slots.values.fill(3e38)  # overflows where two are added
+        view.gradients.slots.values.fill(3e38)  # overflows where two are added
         if computed:
             view.gradients = view.gradients.compute()
         found.append(model.step(4))

@@ -10,6 +10,7 @@ import torch
 from tdgbench.splats.backends.backend import Backend
 
 ON_GPU = ("warp", "cuda")  # fast backends for float32 on a CUDA GPU, the preferred one first
+FAST = {"cpu": ("cpu",), "cuda": ON_GPU}  # by the type of the device
 
 
 def backend_names() -> list[str]:
@@ -38,7 +39,7 @@ def load_backend(name: str) -> Backend:
 
 
 def choose_backend(name: str, device: torch.device, dtype: torch.dtype) -> str:
-    """Return the name of the backend for tensors of a device and type.
+    """Return the name of the backend that renders tensors of a device and type.
 
     `auto` is for float32 tensors `cpu` on the CPU, and on a CUDA GPU the first of `ON_GPU` that can run; for all others
     it is `reference`. Raises ValueError if the backend does not take such tensors, RuntimeError if it cannot run on
@@ -48,9 +49,9 @@ def choose_backend(name: str, device: torch.device, dtype: torch.dtype) -> str:
     ['cpu', 'reference']
     """
     if name == "auto":
-        if dtype != torch.float32 or device.type not in ("cpu", "cuda"):
+        fast = _fast(device, dtype)
+        if not fast:
             return "reference"
-        fast = ("cpu",) if device.type == "cpu" else ON_GPU
         name = next((name for name in fast if load_backend(name).why_not() is None), fast[-1])
     backend = load_backend(name)
     if not backend.takes(device, dtype):
@@ -59,3 +60,18 @@ def choose_backend(name: str, device: torch.device, dtype: torch.dtype) -> str:
     if reason is not None:
         raise RuntimeError(f"backend {name} cannot run: {reason}")
     return name
+
+
+def backend_for(tensor: torch.Tensor) -> Backend:
+    """Return the fast backend for tensors like this one that can run here; `reference` if there is none.
+
+    It owns memory, density control's statistics, Adam's steps and losses of a training, whichever backend renders it:
+    two backends that are compared differ in their rendering alone.
+    """
+    candidates = map(load_backend, _fast(tensor.device, tensor.dtype))
+    return next((backend for backend in candidates if backend.why_not() is None), load_backend("reference"))
+
+
+def _fast(device: torch.device, dtype: torch.dtype) -> tuple[str, ...]:
+    """Return the names of the fast backends for tensors of a device and type, the preferred one first."""
+    return FAST.get(device.type, ()) if dtype == torch.float32 else ()

@@ -11,14 +11,18 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend, Collect, StateOptions, SumFootprints
-from tdgbench.splats.columns import COLORS_AT, padded
+from tdgbench.splats.columns import COLORS_AT, GEOMETRY_SIZES, padded
+from tdgbench.splats.cpu import statistics
+from tdgbench.splats.cpu.deferred_steps import DeferredSteps
+from tdgbench.splats.cpu.losses import fused_losses
 from tdgbench.splats.cpu.precompile import compiled_alongside
-from tdgbench.splats.cpu.raster.passes import Blended, blend_backward, forward
+from tdgbench.splats.cpu.raster.passes import blend_backward, forward
 from tdgbench.splats.cpu.raster.source import Span, source_of_arrays, source_of_rows
 from tdgbench.splats.cpu.raster.types import Channels, Settings, pack_camera, pack_limits
-from tdgbench.splats.gradients import PendingGradients
-from tdgbench.splats.optimizer import Adam, Tolerance
-from tdgbench.splats.state import GEOMETRY_SIZES, TrainingState
+from tdgbench.splats.cpu.scratch import empty_rows, free_buffers
+from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients
+from tdgbench.splats.stepping import Rows, RowSteps, Tolerance
+from tdgbench.splats.torch_losses import LossWeights
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
 MAX_CHANNELS = 4
@@ -100,6 +104,7 @@ class CpuBackend(Backend):
 
     inputs = "float32 tensors on the CPU"
     devices = ("cpu",)
+    capacity_growth = 3.0  # memory that was never written costs nothing
 
     def compiling(self, channels: set[int], depth: bool) -> AbstractContextManager[None]:
         return compiled_alongside(channels, depth)
@@ -144,20 +149,43 @@ class CpuBackend(Backend):
         return sums
 
     def render_state(
-        self, state: TrainingState, optimizer: Adam, camera: Pinhole, options: StateOptions, collect: Collect
+        self, state: Rows, steps: RowSteps, camera: Pinhole, options: StateOptions, collect: Collect
     ) -> Render:
         if options.hook is not None or camera.viewmat.requires_grad or state.channels + options.depth > MAX_CHANNELS:
-            return super().render_state(state, optimizer, camera.to(state.values), options, collect)
+            return super().render_state(state, steps, camera.to(state.values), options, collect)
+        assert isinstance(steps, DeferredSteps)
         tolerance = options.tolerance or EVERYWHERE
         rows = state.arrays()
-        source = source_of_rows(rows.values, rows.bounds, *tolerance, optimizer.stale())
+        source = source_of_rows(rows.values, rows.bounds, *tolerance, steps.stale())
         settings = _settings(camera, state.channels, options.sh_degree, options.of_view)
-
-        def deliver(blended: Blended) -> None:
-            collect(PendingGradients(blended))
-
-        image, depth, transmittance = _RenderRows.apply(_TRIGGER, source, settings, deliver)
+        image, depth, transmittance = _RenderRows.apply(_TRIGGER, source, settings, collect)
         return Render(image, depth if options.depth else None, transmittance)
+
+    def new_rows(self, like: Tensor, shape: tuple[int, int], zeros: bool = False) -> Tensor:
+        if like.dtype != torch.float32:  # of clocks
+            return super().new_rows(like, shape, zeros)
+        return torch.from_numpy(empty_rows(*shape, zeros=zeros))
+
+    def free_memory(self) -> None:
+        free_buffers()
+
+    def steps_of(self, state: Rows) -> RowSteps:
+        return DeferredSteps(state)
+
+    def observe_visible(self, view: Gradients | PendingGradients, view_counts: Tensor, max_radii: Tensor) -> None:
+        statistics.observe_visible(view, view_counts, max_radii)
+
+    def observe_gradients(self, gradients: Gradients, sums: GradientStatistics) -> None:
+        statistics.observe_gradients(gradients, statistics.StatisticsArrays.of(sums))
+
+    def image_loss(self, image: Tensor, target: Tensor, weights: LossWeights, valid: Tensor | None) -> Tensor:
+        return fused_losses.image_loss(image, target, weights, valid)
+
+    def min_max(self, values: Tensor) -> Tensor:
+        return fused_losses.min_max(values)
+
+    def inverse_expected_depth(self, depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:
+        return fused_losses.inverse_expected_depth(depth, transmittance, min_alpha)
 
 
 def _passes(channels: int, options: RenderOptions) -> Iterator[tuple[slice, RenderOptions]]:

@@ -13,69 +13,10 @@ from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend
 from tdgbench.splats.blending import Blending
-from tdgbench.splats.harmonics import colors_from_sh
+from tdgbench.splats.geometry import project, screen_radii, seen_colors
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
-TILE = 16
 PAIRS_AT_ONCE = 4_000_000  # pixel-Gaussian pairs in memory
-
-
-def rotation_matrices(quats: Tensor) -> Tensor:
-    """Return rotations (N, 3, 3) of quaternions (N, 4) wxyz of any length."""
-    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1).unbind(-1)
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return torch.stack(rows, dim=-1).reshape(-1, 3, 3)
-
-
-def project(means, quats, scales, viewmat, K, width, height, eps2d) -> tuple[Tensor, ...]:
-    """Project Gaussians (EWA) to image means (N, 2) px, conics (N, 3) px⁻², covariances (N, 2, 2) px² and depths (N,).
-
-    means (N, 3), quats (N, 4), scales (N, 3), viewmat (4, 4), K (3, 3) px.
-    """
-    points = means @ viewmat[:3, :3].T + viewmat[:3, 3]
-    x, y, z = points.unbind(-1)
-    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
-    tx = (x / z).clamp((-cx / fx - margin_x).item(), ((width - cx) / fx + margin_x).item())
-    ty = (y / z).clamp((-cy / fy - margin_y).item(), ((height - cy) / fy + margin_y).item())
-    zero = torch.zeros_like(z)
-    rows = [torch.stack([fx / z, zero, -fx / z * tx], dim=-1), torch.stack([zero, fy / z, -fy / z * ty], dim=-1)]
-    to_image = torch.stack(rows, dim=-2) @ viewmat[:3, :3]
-    axes = to_image @ rotation_matrices(quats) * scales[:, None, :]
-    covariance = axes @ axes.transpose(-1, -2) + eps2d * torch.eye(2, dtype=means.dtype, device=means.device)
-    a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    det = a * c - b * b
-    conics = torch.stack([c, -b, a], dim=-1) / det[:, None]
-    means2d = torch.stack([fx * x / z + cx, fy * y / z + cy], dim=-1)
-    return means2d, conics, covariance, z
-
-
-def _screen_radii(means2d, covariance, width, height) -> Tensor:
-    """Return 3DGS's radii (N,) px: 3 σ, rounded up; 0 if the square misses the grid of 16×16 tiles."""
-    mid = 0.5 * (covariance[:, 0, 0] + covariance[:, 1, 1])
-    spread = (mid * mid - torch.linalg.det(covariance)).clamp_min(0.1).sqrt()
-    radii = (3.0 * (mid + spread).sqrt()).ceil()
-    x, y = (means2d - 0.5).unbind(-1)
-    grid_width, grid_height = -(-width // TILE) * TILE, -(-height // TILE) * TILE
-    visible = (x + radii >= 1) & (y + radii >= 1) & (x - radii < grid_width) & (y - radii < grid_height)
-    return torch.where(visible, radii, 0.0).clamp_max(1e9).to(torch.int32)
-
-
-@torch.no_grad()
-def visible_radii(gaussians: GaussianTensors, camera: Pinhole) -> Tensor:
-    """Return 3DGS's radii (N,) int32 px of Gaussians on the image of a camera; 0: not visible. Nothing is rendered."""
-    means, quats, scales = gaussians[:3]
-    camera = camera.to(means)
-    depths = means @ camera.viewmat[2, :3] + camera.viewmat[2, 3]
-    seen = (depths > camera.near_plane) & (depths < camera.far_plane)
-    means2d, _, covariance, _ = project(means[seen], quats[seen], scales[seen], *camera[:4], camera.eps2d)
-    radii = torch.zeros(len(means), dtype=torch.int32, device=means.device)
-    radii[seen] = _screen_radii(means2d, covariance, camera.width, camera.height)
-    return radii
 
 
 def blend(pixels, means2d, conics, opacities, channels, blending, observe=None) -> tuple[Tensor, Tensor]:
@@ -112,7 +53,7 @@ class ReferenceBackend(Backend):
             camera.eps2d,
         )  # fmt: skip
         radii = torch.zeros(len(means), dtype=torch.int32, device=means.device)
-        radii[in_front] = _screen_radii(means2d.detach(), covariance.detach(), camera.width, camera.height)
+        radii[in_front] = screen_radii(means2d.detach(), covariance.detach(), camera.width, camera.height)
         zeros = torch.zeros(len(means), 2, dtype=means.dtype, device=means.device)
         all_means2d = zeros.index_put((in_front,), means2d)
         if all_means2d.requires_grad:
@@ -138,15 +79,6 @@ class ReferenceBackend(Backend):
 def _add_absolute(total: Tensor, index: Tensor, gradients: Tensor) -> None:
     """Add to total (N, 2), at an index (n,), the sums over pixels of the absolute gradients (P, n, 2)."""
     total.index_add_(0, index, gradients.abs().sum(dim=0))
-
-
-def seen_colors(gaussians: GaussianTensors, index: Tensor | slice, camera: Pinhole) -> Tensor:
-    """Return colours (n, D) of the Gaussians at an index (n,), as the camera sees them."""
-    if gaussians.sh_degree is None:
-        return gaussians.colors[index]
-    centre = -camera.viewmat[:3, :3].T @ camera.viewmat[:3, 3]
-    directions = torch.nn.functional.normalize(gaussians.means[index] - centre, dim=-1)
-    return colors_from_sh(gaussians.colors[index], directions, gaussians.sh_degree)
 
 
 def _blend_image(

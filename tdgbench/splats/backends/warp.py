@@ -6,8 +6,13 @@ Sums have a fixed order: the same input gives the same bytes on the same device.
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
+from tdgbench.splats import torch_losses
 from tdgbench.splats.backends.backend import Backend
+from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients
+from tdgbench.splats.stepping import Rows, RowSteps
+from tdgbench.splats.torch_losses import LossWeights
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 from tdgbench.splats.warp import import_problem
 
@@ -44,6 +49,30 @@ class WarpBackend(Backend):
         if options.background is not None:
             image = image + transmittance[..., None] * options.background.to(image)
         return Render(image, depth, transmittance, Projection(probe, radii, depths, absgrad))
+
+    def steps_of(self, state: Rows) -> RowSteps:
+        from tdgbench.splats.warp.adam import WarpSteps
+
+        return WarpSteps(state)
+
+    def observe_visible(self, view: Gradients | PendingGradients, view_counts: Tensor, max_radii: Tensor) -> None:
+        from tdgbench.splats.warp import statistics
+
+        statistics.observe_visible(view.compute(), view_counts, max_radii)
+
+    def observe_gradients(self, gradients: Gradients, sums: GradientStatistics) -> None:
+        from tdgbench.splats.warp import statistics
+
+        statistics.observe_gradients(gradients, sums)
+
+    def l1_and_dssim(self, image: Tensor, target: Tensor, weights: LossWeights, valid: Tensor | None) -> Tensor:
+        from tdgbench.splats.warp.losses import L1AndDssim
+
+        count, target, of_pixels = torch_losses.valid_values(image, valid), target.detach(), image.new_empty(0, 0)
+        if valid is not None:
+            image, target = (torch_losses.without_masked(t, valid) for t in (image, target))
+            of_pixels = valid.to(image.dtype)
+        return L1AndDssim.apply(image, target, of_pixels, weights[:2], count)
 
 
 BACKEND = WarpBackend()

@@ -15,6 +15,7 @@ import numpy as np
 
 from tdgbench.splats.columns import SCALES_AT
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import load_anywhere, prefetch_columns, prefetch_row, store_anywhere
 from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, is_finite, select, square_root
 
@@ -22,7 +23,7 @@ F, U = np.float32, np.uint64
 PREFETCH_DISTANCE = 6  # rows
 
 
-class Rows(NamedTuple):
+class StepRows(NamedTuple):
     """Parameters and moments of N Gaussians, `stride` floats a row, of which the first `columns` are in use.
 
     They fill a register or more. Where they end within one, the last register begins earlier, and overlaps the one
@@ -57,7 +58,7 @@ class Decay(NamedTuple):
 class Stale(NamedTuple):
     """Rows whose deferred steps are to be applied before they are read."""
 
-    rows: Rows
+    rows: StepRows
     deferred: Deferred
     flushed: int  # step up to which all rows are current
 
@@ -75,7 +76,7 @@ class Update(NamedTuple):
 class AdamStep(NamedTuple):
     """One step; `deferred` ends with the step before."""
 
-    rows: Rows
+    rows: StepRows
     deferred: Deferred
     decay: Decay
     update: Update
@@ -84,7 +85,7 @@ class AdamStep(NamedTuple):
 def _nothing() -> tuple[Stale, AdamStep]:
     """No row and no step, in the types of some: kernels are compiled once for both."""
     floats = np.zeros(0, np.float32)
-    rows = Rows(floats, floats, floats, np.zeros((0, 4), np.float32), np.zeros((0, 2), np.int32), 0, 0)
+    rows = StepRows(floats, floats, floats, np.zeros((0, 4), np.float32), np.zeros((0, 2), np.int32), 0, 0)
     deferred = Deferred(0, floats, floats, F(0))
     return Stale(rows, deferred, 0), AdamStep(
         rows, deferred, Decay(floats, floats), Update(floats, floats, F(0), F(0), F(0))
@@ -92,6 +93,13 @@ def _nothing() -> tuple[Stale, AdamStep]:
 
 
 NO_STALE, NO_STEP = _nothing()
+
+
+def new_flags(spans: int, step: AdamStep) -> np.ndarray:
+    """Return (spans, columns of the state) float32 zeros, in which a step marks columns with bad gradients."""
+    flags = empty_aligned((spans, step.rows.stride), np.float32)
+    flags[:] = 0
+    return flags
 
 
 @kernel(inline=True)

@@ -3,14 +3,6 @@
 import importlib.util
 from functools import cache
 
-import torch
-from torch import Tensor
-
-
-def fuses(tensor: Tensor) -> bool:
-    """Return whether losses and optimizer run in Warp on a tensor: float32 on a CUDA GPU that Warp can use."""
-    return tensor.device.type == "cuda" and tensor.dtype == torch.float32 and import_problem(on_gpu=True) is None
-
 
 @cache
 def import_problem(on_gpu: bool) -> str | None:

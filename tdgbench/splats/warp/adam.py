@@ -4,6 +4,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from tdgbench.splats.stepping import BETA1, BETA2, EPS, BadColumns, RowSteps, flags_on_host
 from tdgbench.splats.warp.arrays import array, on_stream
 from tdgbench.splats.warp.passes import launch
 
@@ -38,19 +39,16 @@ def step_values(
     values[i, j] = values[i, j] - columns[0, j] * m / (wp.sqrt(v) / columns[1, j] + betas.eps)
 
 
-def step_all(
-    gradients: Tensor, columns: Tensor, rows: tuple[Tensor, Tensor, Tensor], betas: tuple[float, float], eps: float
-) -> Tensor:
-    """Step `rows`, values and moments float32 (N, columns), in place, by their gradients.
+class WarpSteps(RowSteps):
+    """Steps of float32 rows."""
 
-    columns: float32 (2, columns), rate / (1 − β1^t) and √(1 − β2^t) of each. Return int32 (columns,), 1 where a
-    gradient is not finite.
-    """
-    constants = Betas()
-    constants.first, constants.second, constants.eps = *betas, eps
-    constants.rest1, constants.rest2 = (1 - beta for beta in betas)
-    bad = torch.zeros(gradients.shape[1], dtype=torch.int32, device=gradients.device)
-    with on_stream(gradients.device):
-        inputs = [array(gradients), array(columns), constants, *map(array, rows), array(bad)]
-        launch(step_values, gradients.shape, inputs, gradients)
-    return bad
+    def _step_all(self, grad: Tensor, columns: Tensor) -> BadColumns:
+        betas = Betas()
+        betas.first, betas.second, betas.eps = BETA1, BETA2, EPS
+        betas.rest1, betas.rest2 = 1 - BETA1, 1 - BETA2
+        bad = torch.zeros(grad.shape[1], dtype=torch.int32, device=grad.device)
+        rows = (self.state.values, self.state.first, self.state.second)
+        with on_stream(grad.device):
+            inputs = [array(grad), array(columns), betas, *map(array, rows), array(bad)]
+            launch(step_values, grad.shape, inputs, grad)
+        return flags_on_host(bad)

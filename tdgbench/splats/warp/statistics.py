@@ -6,7 +6,7 @@ A Gaussian has at most one row in a view: no two threads write to the same place
 import warp as wp
 from torch import Tensor
 
-from tdgbench.splats.gradients import Gradients
+from tdgbench.splats.gradients import Gradients, GradientStatistics
 from tdgbench.splats.warp.arrays import array, on_stream
 from tdgbench.splats.warp.passes import launch
 
@@ -48,12 +48,10 @@ def observe_visible(view: Gradients, view_counts: Tensor, max_radii: Tensor) -> 
             launch(count_visible, count, [*rows, array(view_counts), array(max_radii)], view_counts)
 
 
-def observe_gradients(view: Gradients, half: tuple[float, float], grad_sum: Tensor, absolute_sum: Tensor) -> None:
-    """Add the lengths of a view's gradients to float32 sums (N,), in units of half the image, px.
-
-    absolute_sum: of absolute gradients; (0,): not wanted.
-    """
-    with on_stream(grad_sum.device):
+def observe_gradients(view: Gradients, sums: GradientStatistics) -> None:
+    """Add the lengths of a view's gradients to float32 sums."""
+    half = wp.vec2(sums.half_width, sums.half_height)
+    with on_stream(sums.grad_sum.device):
         for first, count in view.spans:
             rows = [array(t[first : first + count]) for t in (view.index, view.image)]
-            launch(add_lengths, count, [*rows, wp.vec2(*half), array(grad_sum), array(absolute_sum)], grad_sum)
+            launch(add_lengths, count, [*rows, half, *map(array, sums[:2])], sums.grad_sum)

@@ -3,19 +3,19 @@
 import pytest
 import torch
 
-from tdgbench.splats import rasterization
+from tdgbench.splats import geometry, rasterization
 from tdgbench.splats.backends import cpu, reference
 from tdgbench.splats.view import GaussianTensors, Pinhole, RenderOptions
 from tests.helpers.gaussians import random_gaussians, turned_camera
 
 
 def test_rotations_are_rotations():
-    r = reference.rotation_matrices(torch.randn(20, 4, dtype=torch.float64) * 5)
+    r = geometry.rotation_matrices(torch.randn(20, 4, dtype=torch.float64) * 5)
     eye = torch.eye(3, dtype=torch.float64)
     assert torch.allclose(r @ r.transpose(1, 2), eye.expand(20, 3, 3)) and torch.allclose(
         torch.linalg.det(r), r.new_ones(20)
     )
-    quarter = reference.rotation_matrices(torch.tensor([[1.0, 0, 0, 1]]))  # 90° about z
+    quarter = geometry.rotation_matrices(torch.tensor([[1.0, 0, 0, 1]]))  # 90° about z
     assert torch.allclose(quarter[0] @ torch.tensor([1.0, 0, 0]), torch.tensor([0.0, 1, 0]), atol=1e-6)
 
 
@@ -25,7 +25,7 @@ def test_visible_radii_are_those_of_a_render(backend):
     parameters[0] *= 3
     gaussians, (viewmat, K) = GaussianTensors(*parameters), (t[0] for t in turned_camera(60, 45))
     camera = Pinhole(viewmat, K, 60, 45)
-    radii = reference.visible_radii(gaussians, camera)
+    radii = geometry.visible_radii(gaussians, camera)
     assert 20 < (radii > 0).sum() < 380
     assert torch.equal(radii, backend.render(gaussians, camera, RenderOptions()).projection.radii)
 

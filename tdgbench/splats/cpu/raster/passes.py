@@ -12,10 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from tdgbench.splats.columns import COLORS_AT, padded
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.adam import AdamStep
+from tdgbench.splats.cpu.adam import AdamStep, new_flags
 from tdgbench.splats.cpu.raster.blend import blend_tiles
 from tdgbench.splats.cpu.raster.blend_backward import fill_slots, slot_size
 from tdgbench.splats.cpu.raster.culling import find_candidates
@@ -27,7 +28,8 @@ from tdgbench.splats.cpu.raster.tiles import list_by_tile
 from tdgbench.splats.cpu.raster.types import ForwardPass, GradientArrays, GradientRows, ImageArrays, Settings, Slots
 from tdgbench.splats.cpu.scratch import Workspace
 from tdgbench.splats.cpu.simd.registers import LANES
-from tdgbench.splats.cpu.statistics import GradientStatistics
+from tdgbench.splats.cpu.statistics import StatisticsArrays
+from tdgbench.splats.gradients import Gradients, PendingGradients
 
 
 def forward(source: GaussianSource, settings: Settings) -> ForwardPass:
@@ -48,7 +50,7 @@ def forward(source: GaussianSource, settings: Settings) -> ForwardPass:
 
 
 @dataclass
-class Blended:
+class Blended(PendingGradients):
     """A view after the backward pass of its blend, before that of its projection."""
 
     source: GaussianSource
@@ -56,6 +58,12 @@ class Blended:
     done: ForwardPass
     slots: Slots
     workspace: Workspace  # holds the slots
+
+    def __post_init__(self) -> None:
+        done = self.done
+        self.projected_spans, self.touched = done.projected_spans, 0
+        self.projected, self.radii = map(torch.from_numpy, (done.projected.gaussian_ids, done.projected.radii))
+        self.pairs, self.blended = len(done.tiles.splat_ids), int(done.visits.counts.sum())
 
     @property
     def columns(self) -> int:
@@ -74,13 +82,24 @@ class Blended:
         )
         return GradientRows(self._run(rows, [NO_FUSED_STEP] * len(self.done.splat_spans)), rows, workspace)
 
-    def step(self, step: AdamStep, statistics: GradientStatistics, bad: np.ndarray) -> int:
-        """Step the Gaussians that some pixel depends on, and add to their statistics; returns how many these are.
+    def compute(self, image_only: bool = False) -> Gradients:
+        rows = self.rows(image_only)
+        index, values, image = map(torch.from_numpy, rows.arrays)
+        lease = (rows.workspace, self.done.workspace)
+        return Gradients(
+            rows.spans, index, values, image, self.projected_spans, self.projected, self.radii, self.pairs,
+            self.blended, lease,
+        )  # fmt: skip
 
-        The source's parameters are those of the step. bad: (spans, stride) float32, becomes 1 in columns with a
-        gradient that is not finite. The view is then of no more use.
+    def step(self, step: AdamStep, statistics: StatisticsArrays) -> np.ndarray:
+        """Step the Gaussians that some pixel depends on, and add to their statistics.
+
+        The source's parameters are those of the step. Returns (spans, stride) float32: 1 in columns with a gradient
+        that is not finite.
         """
-        return sum(n for _, n in self._run(NO_ROWS, [FusedStep(step, statistics, flags) for flags in bad]))
+        bad = new_flags(len(self.done.splat_spans), step)
+        self.touched = sum(n for _, n in self._run(NO_ROWS, [FusedStep(step, statistics, flags) for flags in bad]))
+        return bad
 
     def _run(self, rows: GradientArrays, steps: Sequence[FusedStep]) -> list[tuple[int, int]]:
         source, settings, done = self.source, self.settings, self.done

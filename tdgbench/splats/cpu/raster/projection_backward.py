@@ -23,7 +23,7 @@ from tdgbench.splats.cpu.raster.slot_sums import BATCH, SLOT, Batch, fill_batch,
 from tdgbench.splats.cpu.raster.types import CHANNELS, FLOATS, OPACITY, RADIUS, GradientArrays
 from tdgbench.splats.cpu.simd.memory import aligned_floats, gather, load, put_column, store, turn_block
 from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, greater, select
-from tdgbench.splats.cpu.statistics import NO_STATISTICS, GradientStatistics, add_length
+from tdgbench.splats.cpu.statistics import NO_STATISTICS, StatisticsArrays, add_length
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
@@ -34,7 +34,7 @@ class FusedStep(NamedTuple):
     """A step of Adam, and density control's statistics, that the gradients go into."""
 
     step: AdamStep
-    statistics: GradientStatistics
+    statistics: StatisticsArrays
     bad: np.ndarray  # (stride,) float32: becomes 1 in columns with a gradient that is not finite
     active: bool = True
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.splats import rasterization
-from tdgbench.splats.backends import reference
+from tdgbench.splats import geometry, rasterization
 from tests.helpers.gaussians import random_gaussians, turned_camera
 
 
@@ -34,7 +33,7 @@ def test_is_the_loop_of_3dgs(backend, opacity):
     parameters, camera = random_gaussians(40, 8, None, 3), turned_camera(21, 18)
     parameters[3][:] = torch.linspace(0.01, opacity, 40)
     doubles = [p.double() for p in parameters]
-    means2d, conics, _, z = reference.project(*doubles[:3], camera[0][0].double(), camera[1][0].double(), 21, 18, 0.3)
+    means2d, conics, _, z = geometry.project(*doubles[:3], camera[0][0].double(), camera[1][0].double(), 21, 18, 0.3)
     order = [i for i in np.argsort(z.numpy(), kind="stable") if z[i] > 0.2]
     want, t = blend_by_hand(means2d.numpy(), conics.numpy(), doubles[3].numpy(), doubles[4].numpy(), order, 21, 18)
     given = parameters if backend == "cpu" else doubles

@@ -32,7 +32,7 @@ def test_only_candidates_are_updated():
         if flushed:
             optimizer.flush()
         tolerance = optimizer.tolerance(3)
-        source = source_of_rows(state.values.numpy(), state.bounds.numpy(), *tolerance, optimizer.stale())
+        source = source_of_rows(state.values.numpy(), state.bounds.numpy(), *tolerance, optimizer.row_steps.stale())
         done = forward(source, settings)
         images.append(done.images.color)
         values.append(state.values)

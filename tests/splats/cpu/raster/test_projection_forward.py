@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from tdgbench.splats.backends import reference
+from tdgbench.splats import geometry
 from tdgbench.splats.cpu.raster.types import CHANNELS, FIRST_X, LAST_Y, OPACITY, RADIUS, U_, V_
 from tests.helpers.gaussians import random_gaussians, turned_camera
 from tests.splats.cpu.raster.forward_passes import rendered
@@ -17,14 +17,14 @@ def test_splats_hold_the_projection():
     assert (np.diff(ids) > 0).all() and not (ids < 20).any()
     doubles = [p.double() for p in parameters]
     view, K = camera[0][0].double(), camera[1][0].double()
-    means2d, _, covariance, _ = reference.project(*doubles[:3], view, K, width, height, 0.3)
+    means2d, _, covariance, _ = geometry.project(*doubles[:3], view, K, width, height, 0.3)
     boxes = splats[:, FIRST_X : LAST_Y + 1]
     found = splats[:, [U_, V_]].astype(np.float64) + boxes[:, [0, 2]]
     error = np.abs(found - means2d[ids].numpy())  # single precision would be 3e-5 px at 600 px
     assert (error <= 0.5001 * np.spacing(np.abs(splats[:, [U_, V_]])) + 1e-12).all()  # rounded once, from doubles
     assert np.allclose(splats[:, OPACITY], parameters[3][ids].numpy(), rtol=1e-6)
     assert np.allclose(splats[:, CHANNELS], parameters[4][ids, 0].numpy(), rtol=1e-6)
-    radii = reference._screen_radii(means2d, covariance, width, height)
+    radii = geometry.screen_radii(means2d, covariance, width, height)
     assert np.array_equal(splats[:, RADIUS], radii[ids].numpy())
     assert (boxes == np.round(boxes)).all() and boxes.min() >= 0
     assert boxes[:, :2].max() < width and boxes[:, 2:].max() < height

@@ -1,25 +1,39 @@
-"""Image losses in plain torch: for types and devices that have no fused kernel, and to check the kernels against.
+"""Losses of images and depth maps in plain torch: for tensors without fused kernels, and to check the kernels against.
 
 Images are (H, W, C) in [0, 1]. `valid`: bool (H, W), false for masked pixels; None: every pixel counts.
 """
 
 from __future__ import annotations
 
+import weakref
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from tdgbench.splats.cpu.losses.ssim import C1, C2, WINDOW, window
 
+MIN_RANGE = 1e-8  # of a map that min-max normalisation stretches
 
-def l1_and_dssim(image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float, valid: Tensor | None) -> Tensor:
-    """Return l1_weight · L1 + dssim_weight · (1 − SSIM), means over the valid pixels."""
+
+class LossWeights(NamedTuple):
+    """Weights of the terms of an image loss: L1, 1 − SSIM, and smoothness in one of its readings."""
+
+    l1: float
+    dssim: float
+    smooth: float = 0.0
+    reading: str = "written"
+
+
+def l1_and_dssim(image: Tensor, target: Tensor, weights: LossWeights, valid: Tensor | None) -> Tensor:
+    """Return the terms L1 and 1 − SSIM, means over the valid pixels."""
     target = target.detach()
     if valid is None:
-        return l1_weight * (image - target).abs().mean() + dssim_weight * (1 - ssim_map(image, target).mean())
+        return weights.l1 * (image - target).abs().mean() + weights.dssim * (1 - ssim_map(image, target).mean())
     image, target = without_masked(image, valid), without_masked(target, valid)
     count = valid.sum() * image.shape[2]
     similarity = without_masked(ssim_map(image, target), valid).sum() / count
-    return l1_weight * (image - target).abs().sum() / count + dssim_weight * (1 - similarity)
+    return weights.l1 * (image - target).abs().sum() / count + weights.dssim * (1 - similarity)
 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:
@@ -33,8 +47,9 @@ def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     return (numerator / denominator).permute(1, 2, 0)
 
 
-def smoothness(image: Tensor, reading: str, valid: Tensor | None, count: int) -> Tensor:
-    """The two readings of `tdgbench.training.losses.smoothness`. count: number of values that count."""
+def smoothness(image: Tensor, reading: str, valid: Tensor | None) -> Tensor:
+    """Return the mean difference of neighbours in one of the readings of `tdgbench.training.losses.smoothness`."""
+    count = valid_values(image, valid)
     if valid is not None:
         image = without_masked(image, valid)
     differences = [(here - other).abs() for here, other in _neighbours(image, reading)]
@@ -50,6 +65,49 @@ def _neighbours(image: Tensor, reading: str) -> list[tuple[Tensor, Tensor]]:
     if reading == "released":
         return [(image, image.detach().roll(shift, dim)) for dim in (0, 1) for shift in (1, -1)]
     return [(image[1:], image[:-1]), (image[:, 1:], image[:, :-1])]
+
+
+def min_max(values: Tensor) -> Tensor:
+    """Normalise a map (H, W) to [0, 1] by its extremes; one without range becomes zero."""
+    low, high = values.min(), values.max()
+    is_flat = high - low < MIN_RANGE
+    return torch.where(is_flat, 0.0, values - low) / torch.where(is_flat, 1.0, high - low)
+
+
+def inverse_expected_depth(depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:
+    """Return alpha / accumulated z, maps (H, W); 0 where alpha ≤ min_alpha."""
+    alpha = 1.0 - transmittance
+    solid = alpha > min_alpha
+    return torch.where(solid, alpha / torch.where(solid, depth, 1.0), 0.0)
+
+
+class ValidPixels:
+    """Numbers of valid pixels of masks, by their tensors: the host waits for a GPU once per mask, not in each step."""
+
+    def __init__(self) -> None:
+        self._counted: dict[int, tuple[int, int]] = {}  # torch's count of writes to the mask, and its number of pixels
+
+    def of(self, valid: Tensor) -> int:
+        """Return the number of valid pixels of a mask (H, W)."""
+        stored = self._counted.get(id(valid))
+        if stored is None:
+            weakref.finalize(valid, self._counted.pop, id(valid), None)
+        if stored is None or stored[0] != valid._version:
+            stored = self._counted[id(valid)] = (valid._version, int(valid.sum()))
+        return stored[1]
+
+
+_VALID_PIXELS = ValidPixels()
+
+
+def valid_values(image: Tensor, valid: Tensor | None) -> int:
+    """Return the number of values of an image (H, W, C) that count. Raises ValueError if there are none."""
+    if valid is None:
+        return image.numel()
+    count = _VALID_PIXELS.of(valid) * image.shape[2]
+    if not count:
+        raise ValueError("no pixel of the image is valid, so that it has no loss")
+    return count
 
 
 def without_masked(image: Tensor, valid: Tensor) -> Tensor:
