@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 import re
 import runpy
 import tomllib
@@ -22,9 +23,10 @@ from tests.helpers.configs import config
 from tests.helpers.paths import ROOT
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+OF_THE_PAST = ("CHANGELOG.md", "docs/findings/")  # pages that keep the options of their time
+OF_TODAY = [page for page in PAGES if not page.relative_to(ROOT).as_posix().startswith(OF_THE_PAST)]
 COMMANDS = ROOT / "docs" / "commands.md"
 OF_OTHERS = ("hydra.launcher.",)  # options of packages that are not installed everywhere
-OF_THE_PAST = ("CHANGELOG.md", "docs/findings/")  # pages that keep the options of their time
 
 
 def fenced(text: str) -> list[list[str]]:
@@ -102,20 +104,23 @@ def set_options(text: str) -> set[str]:
 def without_an_option(names: set[str]) -> set[str]:
     """The names that no configuration has, whatever its data set, prior, method and experiment."""
     left = {name for name in names if not name.startswith(OF_OTHERS)}
-    folders = ("dataset", "prior", "method", "experiment")
-    files = [path for folder in folders for path in sorted((ROOT / "conf" / folder).glob("*.yaml"))]
-    others = [f"{'+' * (path.parent.name == 'experiment')}{path.parent.name}={path.stem}" for path in files]
-    for overrides in [(), *((other,) for other in others)]:
-        if left:
-            cfg = config(*overrides)
-            parents = {name: OmegaConf.select(cfg, name.rpartition(".")[0]) for name in left}
-            left -= {n for n, at in parents.items() if isinstance(at, DictConfig) and n.split(".")[-1] in list(at)}
+    files = [
+        path for folder in ("dataset", "prior", "method", "experiment") for path in (ROOT / "conf" / folder).glob("*")
+    ]
+    for path in [None, *sorted(files)]:
+        if path is None:
+            cfg = config()
+        elif any(re.search(rf"\b{name.split('.')[-1]}:", path.read_text(encoding="utf-8")) for name in left):
+            cfg = config(f"{'+' * (path.parent.name == 'experiment')}{path.parent.name}={path.stem}")
+        else:
+            continue
+        parents = {name: OmegaConf.select(cfg, name.rpartition(".")[0]) for name in left}
+        left -= {n for n, at in parents.items() if isinstance(at, DictConfig) and n.split(".")[-1] in list(at)}
     return left
 
 
 def test_the_options_that_pages_set_exist():
-    pages = [page for page in PAGES if not page.relative_to(ROOT).as_posix().startswith(OF_THE_PAST)]
-    named = set().union(*(set_options(page.read_text(encoding="utf-8")) for page in pages))
+    named = set().union(*(set_options(page.read_text(encoding="utf-8")) for page in OF_TODAY))
     assert len(named) > 30 and without_an_option(named) == set()
 
 
@@ -144,8 +149,7 @@ def test_pages_count_nothing_that_registries_do():
     """A count of plug-ins would be wrong with the next one."""
     numbers = "two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|\\d+"
     kinds = "backends|metrics|layouts|experiments|skips|tools|depth priors|budgets|image formats"
-    pages = [page for page in PAGES if not page.relative_to(ROOT).as_posix().startswith(OF_THE_PAST)]
-    found = {page.name: re.findall(rf"(?i)\b(?:{numbers}) (?:{kinds})\b", page.read_text("utf-8")) for page in pages}
+    found = {page.name: re.findall(rf"(?i)\b(?:{numbers}) (?:{kinds})\b", page.read_text("utf-8")) for page in OF_TODAY}
     assert {name: counts for name, counts in found.items() if counts} == {}
 
 
@@ -212,7 +216,11 @@ def test_ci_deselects_nothing():
     assert "sed -n 2p) -m ''\"" in script and 'bash -c "$command"' in script
 
 
-@pytest.mark.parametrize("page", ["architecture.md", "splat-core.md"])
-def test_the_files_that_a_page_on_the_code_names_are_there(page):
-    named = set(re.findall(r"`([\w/]+/[a-z_0-9]+\.py)`", (ROOT / "docs" / page).read_text()))
-    assert sorted(name for name in named if not ((ROOT / name).exists() or (ROOT / "tdgbench" / name).exists())) == []
+@pytest.mark.parametrize("page", OF_TODAY, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_the_files_and_modules_that_a_page_names_are_there(page):
+    text = page.read_text(encoding="utf-8")
+    files = set(re.findall(r"`([\w/]+/[a-z_0-9]+\.py)`(?!:$)", text, re.MULTILINE))  # not those of a worked example
+    ours = {name for name in files if any((root / name.split("/")[0]).exists() for root in (ROOT, ROOT / "tdgbench"))}
+    assert {name for name in ours if not any((root / name).exists() for root in (ROOT, ROOT / "tdgbench"))} == set()
+    for name in set(re.findall(r"`(tdgbench(?:\.\w+)+)", text)):
+        assert pkgutil.resolve_name(name), name
