@@ -10,7 +10,8 @@ setup(
     package_data={
         "tdgbench": ["py.typed"],
         "methods": ["py.typed"],
-        "tdgbench.report": ["*.j2", "*.css", "*.js"],
+        "tdgbench.present": ["*.j2", "*.css", "*.js"],
+        "tdgbench.report": ["*.j2"],
         "tdgbench.compare": ["*.j2"],
         "tdgbench.site": ["*.j2"],
         "tdgbench.view": ["*.j2", "*.js"],

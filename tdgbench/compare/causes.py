@@ -11,7 +11,7 @@ from tdgbench.cells.ground_truth import views_with_other_truth
 from tdgbench.cells.key import flat
 from tdgbench.cells.protocol import MEASURED_ON
 from tdgbench.cells.record import Record
-from tdgbench.compare.cells import Pair
+from tdgbench.compare.cells import ComparedCell
 from tdgbench.text import one_line
 
 PROTOCOL, TRAINING, MACHINE = "protocol", "training", "machine"
@@ -24,8 +24,6 @@ OF_PROTOCOL = ("protocol", "data", *MEASURED_ON)  # fields of Record
 OF_TRAINING = ("iterations", "backend", "code", "prior", "init_points")
 PROTOCOL_OPTIONS = ("dataset", "metrics")  # groups of the configuration
 ELSEWHERE = ("metrics.lpips.weights",)  # says where weights are, not which they are
-
-
 TRUTH = PROTOCOL, "ground truth"
 
 
@@ -43,7 +41,7 @@ class Cause(NamedTuple):
         return f"{self.name}: {self.values[0]} → {self.values[1]}{some}"
 
 
-def find_causes(pairs: Iterable[Pair]) -> list[Cause]:
+def find_causes(pairs: Iterable[ComparedCell]) -> list[Cause]:
     """Return every setting that differs in a pair, by kind, most frequent ones first; their ground truth among them."""
     found: dict[tuple[str, str], Counter[tuple[str, str]]] = {}
     for pair in pairs:
@@ -58,7 +56,7 @@ def find_causes(pairs: Iterable[Pair]) -> list[Cause]:
     return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells))
 
 
-def truth_in_words(pair: Pair) -> str:
+def truth_in_words(pair: ComparedCell) -> str:
     """Return whose ground truth the second cell of a pair was scored against, by their pictures."""
     there = set(pair.b.views_with_truth())
     common = [view for view in pair.a.views_with_truth() if view in there]

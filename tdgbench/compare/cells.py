@@ -1,9 +1,9 @@
-"""Cells that two experiments share, and how far their scores are apart.
+"""Cells that two experiments share, and the differences of their scores.
 
 A cell of A and one of B form a pair if they have the same method, data set, scene, initial points, variant and seed.
 Differences are B − A, and their intervals are over the seeds that both have. Where nothing but the run differs, the two
-cells of a pair are repeats of one training: their spread (of a GPU, whose sums have no fixed order) is kept apart from
-the spread over seeds.
+cells of a pair are repeats of one training: their spread (of a GPU, whose sums have no fixed order) is not the
+spread over seeds.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import MEASURES, as_text
-from tdgbench.tables.palette import COLUMN, image_values
+from tdgbench.tables.palette import COLUMN, MARK, image_values, palette_notes
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED, judge_score, load_margins, seeds_interval
 
 IDENTICAL, EQUIVALENT = "identical", "equivalent"
@@ -32,7 +33,7 @@ COLUMNS = [
 Place = tuple[str, ...]  # values of PLACE
 
 
-class Pair(NamedTuple):
+class ComparedCell(NamedTuple):
     """The same cell of two experiments."""
 
     a: Cell
@@ -43,11 +44,11 @@ class Pair(NamedTuple):
 class Pairs:
     """Pairs by place and seed, and the titles of finished cells that only one experiment has."""
 
-    by_place: dict[Place, dict[int, Pair]]
+    by_place: dict[Place, dict[int, ComparedCell]]
     only_a: list[str]
     only_b: list[str]
 
-    def __iter__(self) -> Iterator[Pair]:
+    def __iter__(self) -> Iterator[ComparedCell]:
         return (pair for seeds in self.by_place.values() for pair in seeds.values())
 
     def __len__(self) -> int:
@@ -58,9 +59,9 @@ def find_pairs(a: Iterable[Cell], b: Iterable[Cell]) -> Pairs:
     """Match the finished cells of two experiments."""
     identity = attrgetter(*PLACE)
     mine, theirs = ({(identity(cell.record), cell.record.seed): cell for cell in cells} for cells in (a, b))
-    by_place: dict[Place, dict[int, Pair]] = {}
+    by_place: dict[Place, dict[int, ComparedCell]] = {}
     for place, seed in sorted(mine.keys() & theirs.keys()):
-        by_place.setdefault(place, {})[seed] = Pair(mine[place, seed], theirs[place, seed])
+        by_place.setdefault(place, {})[seed] = ComparedCell(mine[place, seed], theirs[place, seed])
     alone = ([cells[key].record.title for key in sorted(cells.keys() - others.keys())]
              for cells, others in ((mine, theirs), (theirs, mine)))  # fmt: skip
     return Pairs(by_place, *alone)
@@ -95,31 +96,53 @@ def _compared(metric: str, values: np.ndarray, are_repeats: bool) -> list[object
     mean, margin = float(differences.mean()), load_margins().get(metric, np.nan)
     std = float(differences.std(ddof=1)) if seeds > 1 else np.nan
     low, high = map(float, seeds_interval(mean, std, seeds)) if seeds > 1 else (np.nan, np.nan)
-    if not differences.any():
-        verdict = IDENTICAL
-    elif np.isnan(margin):
-        verdict = ""
-    elif np.isnan(low):
-        verdict = UNDECIDED
-    else:
-        verdict = str(judge_score(low, high, 0.0, 0.0, margin, MEASURES[metric].higher_is_better))
-        verdict = EQUIVALENT if verdict == REPRODUCED else verdict
+    verdict = _verdict(metric, differences, (low, high), margin)
     repeat = float(np.sqrt((differences**2).mean() / 2)) if are_repeats else np.nan
     over_seeds = float(values.std(axis=0, ddof=1).mean()) if seeds > 1 else np.nan
     return [seeds, *values.mean(axis=0).tolist(), mean, low, high, margin, verdict, repeat, over_seeds]
+
+
+def _verdict(metric: str, differences: np.ndarray, interval: tuple[float, float], margin: float) -> str:
+    if not differences.any():
+        return IDENTICAL
+    if np.isnan(margin):
+        return ""
+    if np.isnan(interval[0]):
+        return UNDECIDED
+    verdict = str(judge_score(*interval, 0.0, 0.0, margin, MEASURES[metric].higher_is_better))
+    return EQUIVALENT if verdict == REPRODUCED else verdict
 
 
 NUMBERS = {"a": "A", "b": "B", "difference": "B − A", "interval": "90 % interval", "repeat_std": "std of a repeat",
            "seed_std": "std over seeds"}  # headings  # fmt: skip
 
 
-def numbers_as_text(row: Mapping[str, Any]) -> dict[str, str]:
-    """Return the texts of NUMBERS of a row of the score table."""
+def comparison_grid(table: pd.DataFrame) -> Grid:
+    """Return the score table as readers see it. `place` of a row: PLACE and metric."""
+    rows = []
+    for row in table.to_dict("records"):
+        measure, place = MEASURES[row["metric"]], tuple(row[name] for name in PLACE)
+        name = measure.label + (f", {measure.images}" if measure.images else "")
+        scene = f"{row['scene']} {MARK}" if row[COLUMN] else row["scene"]
+        cells = (
+            GridCell(str(row["seeds"]), sort=row["seeds"]),
+            *_number_cells(row),
+            GridCell("", sort=row["verdict"], note=row["verdict"], verdict=row["verdict"]),
+        )
+        heads = (place[0], scene, *place[2:], name)
+        rows.append(GridRow(heads, cells, (*place, row["metric"]), is_marked=bool(row[COLUMN])))
+    notes = palette_notes(table.drop(columns="method"))
+    return Grid([*PLACE, "score"], ["seeds", *NUMBERS.values(), "verdict"], rows, notes)
+
+
+def _number_cells(row: Mapping[str, Any]) -> list[GridCell]:
+    """Return NUMBERS of a row of the score table."""
     metric, signed = row["metric"], {"difference", "ci90_low", "ci90_high"}
     forms = {"a": "", "b": "", **dict.fromkeys(signed, "+.3g"), "repeat_std": ".2g", "seed_std": ".2g"}
     texts = {k: "n/a" if np.isnan(row[k]) else as_text(metric, row[k], form=form) for k, form in forms.items()}
     texts["interval"] = "n/a" if texts["ci90_low"] == "n/a" else f"{texts['ci90_low']} to {texts['ci90_high']}"
-    return {name: texts[name] for name in NUMBERS}
+    values = {**row, "interval": row["ci90_low"]}
+    return [GridCell(texts[name], sort="" if np.isnan(values[name]) else values[name]) for name in NUMBERS]
 
 
 def verdicts_by_metric(table: pd.DataFrame) -> pd.DataFrame:

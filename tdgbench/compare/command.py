@@ -15,8 +15,8 @@ from tdgbench.compare.cells import (
     IDENTICAL,
     NUMBERS,
     Pairs,
+    comparison_grid,
     find_pairs,
-    numbers_as_text,
     score_table,
     verdicts_by_metric,
 )
@@ -25,11 +25,10 @@ from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
 from tdgbench.scoring import METRICS
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.tables.assumptions import UNSTATED, Apart, assumed_apart
-from tdgbench.tables.cell import Cell, finished_cells
+from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
+from tdgbench.tables.cell import Cell
 from tdgbench.tables.measures import COLUMNS, GAUSSIANS, MEASURES, as_text
-from tdgbench.tables.palette import COLUMN, MARK, palette_notes
-from tdgbench.tables.records import read_results
+from tdgbench.tables.results import read_results
 from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
@@ -61,7 +60,7 @@ def _compare(a: Path, b: Path, out: Path | None) -> int:
         raise ValueError(
             f"{a} and {b} share no finished cell: none has the same method, scene, initial points and seed"
         )
-    causes, otherwise = find_causes(pairs), assumed_apart((pair.a.record, pair.b.record) for pair in pairs)
+    causes, otherwise = find_causes(pairs), assumed_differences((pair.a.record, pair.b.record) for pair in pairs)
     table = score_table(pairs, are_repeats=all(cause.kind == MACHINE for cause in causes))
     findings = [*read_otherwise(otherwise), *sentences(table, causes, pairs)]
     for one in otherwise[:MOST_CAUSES]:
@@ -77,8 +76,8 @@ def _compare(a: Path, b: Path, out: Path | None) -> int:
         names = a.resolve().name, b.resolve().name
         write_page(out / "compare.html", names, findings, table, causes, pairs, otherwise)
         say(f"{out / 'compare.csv'}, {out / 'compare.html'}")
-    apart = table["verdict"].isin(["better", "worse"]).any()
-    return int(apart or any(cause.kind == PROTOCOL for cause in causes))
+    differs = table["verdict"].isin(["better", "worse"]).any()
+    return int(differs or any(cause.kind == PROTOCOL for cause in causes))
 
 
 def _cells(experiment: Path) -> list[Cell]:
@@ -86,13 +85,12 @@ def _cells(experiment: Path) -> list[Cell]:
     results = read_results(experiment)
     for problem in results.problems:
         say(one_line(problem), "problem:")
-    cells = finished_cells(experiment, results.records)
-    if not cells:
+    if not results.finished:
         raise ValueError(f"{experiment} holds no finished cell")
-    return cells
+    return results.finished
 
 
-def read_otherwise(differences: Sequence[Apart]) -> list[str]:
+def read_otherwise(differences: Sequence[AssumedDifference]) -> list[str]:
     """Return the finding that the two read their files in other ways, and in which; empty if they did not."""
     names = dict.fromkeys(one.name for one in differences if UNSTATED not in (one.a, one.b))
     scenes = len({one.scene for one in differences if one.name in names})
@@ -127,14 +125,14 @@ def sentences(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> lis
 def _show(table: pd.DataFrame, causes: Sequence[Cause], pairs: int) -> None:
     """Print the scores that tables print, and what differs."""
     shown = Table("scene", "method", "score", *NUMBERS.values(), "verdict")
-    printed = table[table["metric"].isin([*COLUMNS, GAUSSIANS.name])]
-    for row in printed.to_dict("records"):
-        scene = f"{row['scene']} {MARK}" if row[COLUMN] else row["scene"]
-        method = ", ".join(filter(None, (row["method"], row["init"], row["variant"])))
-        named = (Text(one_line(scene)), Text(one_line(method)), MEASURES[row["metric"]].label)
-        shown.add_row(*named, *numbers_as_text(row).values(), row["verdict"])
+    printed = comparison_grid(table[table["metric"].isin([*COLUMNS, GAUSSIANS.name])])
+    for row in printed.rows:
+        method = ", ".join(filter(None, row.place[2:5]))
+        _, *numbers, verdict = row.cells
+        named = (Text(one_line(row.heads[1])), Text(one_line(method)), row.heads[-1])
+        shown.add_row(*named, *(cell.text for cell in numbers), verdict.note)
     console().print(shown)
-    for note in palette_notes(printed.drop(columns="method")):
+    for note in printed.notes:
         say(one_line(note))
     for kind, meaning in KINDS.items():
         some = [cause for cause in causes if cause.kind == kind]

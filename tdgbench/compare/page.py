@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from tdgbench.bench.colours import colored, in_colour
 from tdgbench.cells.record import Record
 from tdgbench.compare.causes import KINDS, Cause
-from tdgbench.compare.cells import NUMBERS, PLACE, Pair, Pairs, numbers_as_text
+from tdgbench.compare.cells import ComparedCell, Pairs, comparison_grid
 from tdgbench.files import write_text
-from tdgbench.report.page import environment
-from tdgbench.report.views import ERROR, ERROR_RANGE, embedded
-from tdgbench.tables.assumptions import Apart, assumed_rows
-from tdgbench.tables.measures import MEASURES
-from tdgbench.tables.palette import COLUMN, MARK, palette_notes
+from tdgbench.present.colours import colored, in_colour
+from tdgbench.present.pages import embedded, environment
+from tdgbench.present.pictures import ERROR, ERROR_RANGE
+from tdgbench.tables.assumptions import AssumedDifference, assumed_rows
 
 MOST_PICTURES = 24  # of cells, so that a page stays some megabytes
 
@@ -30,7 +27,7 @@ def write_page(
     table: pd.DataFrame,
     causes: Sequence[Cause],
     pairs: Pairs,
-    otherwise: Sequence[Apart],
+    otherwise: Sequence[AssumedDifference],
 ) -> None:
     """Write the page. names: of A and B. table: from `score_table`. otherwise: what was assumed in another way."""
     shown = [(place, min(seeds.items())) for place, seeds in pairs.by_place.items()]
@@ -39,9 +36,7 @@ def write_page(
         causes=[(kind, meaning, [cause.sentence(len(pairs)) for cause in causes if cause.kind == kind])
                 for kind, meaning in KINDS.items()],
         otherwise=[one.sentence for one in otherwise], assumed=_assumed(pairs),
-        notes=palette_notes(table.drop(columns="method")),
-        heads=[*PLACE, "score", "seeds", *NUMBERS.values(), "verdict"], words=len(PLACE) + 1,
-        rows=[_row(row) for row in table.to_dict("records")],
+        table=comparison_grid(table),
         pictures=[picture(", ".join(filter(None, place)) + f", seed {seed}", pair)
                   for place, (seed, pair) in shown[:MOST_PICTURES]],
     )  # fmt: skip
@@ -57,23 +52,7 @@ def _assumed(pairs: Pairs) -> dict[str, list[tuple[str, str]]]:
     return {scene: assumed_rows(cells) for scene, cells in scenes.items()}
 
 
-def _row(row: dict[Any, Any]) -> list[tuple[str, object]]:
-    """Return (text, what it is sorted by) of each column."""
-    described = MEASURES[row["metric"]]
-    name = described.label + (f", {described.images}" if described.images else "")
-    texts = numbers_as_text(row)
-    values = [row["ci90_low"] if number == "interval" else row[number] for number in NUMBERS]
-    places = {part: row[part] for part in PLACE}
-    if row[COLUMN]:
-        places["scene"] += f" {MARK}"
-    return [
-        *((text, row[part]) for part, text in places.items()), (name, name), (str(row["seeds"]), row["seeds"]),
-        *((text, "" if np.isnan(value) else value) for text, value in zip(texts.values(), values, strict=True)),
-        (row["verdict"], row["verdict"]),
-    ]  # fmt: skip
-
-
-def picture(title: str, pair: Pair) -> dict[str, object]:
+def picture(title: str, pair: ComparedCell) -> dict[str, object]:
     """Return the pictures of the test view whose PSNR differs most between the two cells of a pair."""
     view = ""
     try:
@@ -92,7 +71,7 @@ def picture(title: str, pair: Pair) -> dict[str, object]:
     }  # fmt: skip
 
 
-def _most_different(pair: Pair) -> str:
+def _most_different(pair: ComparedCell) -> str:
     tables = [table["psnr"] for table in (cell.views for cell in pair) if table is not None]
     if len(tables) < 2:
         raise ValueError("views.csv is missing or unusable")

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BaseModel, Field, PositiveFloat
 
-from tdgbench.bench.assumed import state_assumptions, state_values
+from tdgbench.bench.record_of_run import state_assumptions, state_values
 from tdgbench.bench.options import OptionError
 from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up

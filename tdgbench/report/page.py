@@ -5,69 +5,52 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-
 from tdgbench.cells.record import READ_PHASE, Record, SkipRecord
 from tdgbench.files import write_text
+from tdgbench.present.pages import environment
+from tdgbench.present.strip import place_name
 from tdgbench.report.scene import scene_section
-from tdgbench.report.scores import depth_priors, further_scores, legend, main_scores, published_section
-from tdgbench.report.strip import place_name
+from tdgbench.report.scores import depth_priors, legend, published_section
 from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
-from tdgbench.tables.cell import Cell, finished_cells
+from tdgbench.tables.cell import Cell
+from tdgbench.tables.grids import further_grid
 from tdgbench.tables.palette import palette_notes
 from tdgbench.tables.readings import changes_as_text
-from tdgbench.terminal import printable
 
 FILE = "report.html"
 
 
-def write_report(experiment: Path, tables: Tables) -> Path:
+def write_report(tables: Tables) -> Path:
     """Write the page of an experiment from its files on disk; return its path. What is unusable there is n/a."""
-    records = tables.records
-    cells = finished_cells(experiment, records)
+    results, records = tables.results, tables.records
     scenes: dict[tuple[str, str, str], list[Cell]] = {}
-    for cell in cells:
+    for cell in results.finished:
         scenes.setdefault((cell.record.dataset, cell.record.scene, cell.record.split), []).append(cell)
-    template = environment("tdgbench.report").get_template("page.html.j2")
-    html = template.render(
-        name=experiment.resolve().name,
+    html = environment("tdgbench.report").get_template("page.html.j2").render(
+        name=results.folder.resolve().name,
         findings=tables.findings,
         doubts=doubts_of(records),
-        table=main_scores(tables),
-        further=further_scores(tables),
+        table=tables.grid,
+        further=None if tables.is_ablation else further_grid(tables.main),
         priors=depth_priors(records),
         legend=legend(tables),
         published=published_section(tables),
         changes=None if tables.effects is None else changes_as_text(tables.effects),
         changes_notes=[] if tables.effects is None else palette_notes(tables.effects),
         scenes=[scene_section(place[0], place_name(place, scenes), group) for place, group in scenes.items()],
-        skips=[{"title": cell.record.title, "skips": map(_skipped, cell.record.skips)} for cell in cells],
+        skips=[{"title": cell.record.title, "skips": map(_skipped, cell.record.skips)} for cell in results.finished],
         failures=[(r.title, r.failure.phase, r.failure.error) for r in records if r.failure is not None],
-        problems=tables.problems,
+        problems=results.problems,
         environments=environments(records),
-    )
-    path = experiment / FILE
+    )  # fmt: skip
+    path = results.folder / FILE
     write_text(path, html)
     return path
 
 
 def _skipped(skip: SkipRecord) -> tuple[str, str, str]:
     return skip["name"], skip["saved"] if skip["taken"] else "nothing", skip["reason"]
-
-
-def environment(package: str) -> Environment:
-    """Return an environment of a package's templates, which may include page.css and page.js."""
-    folders = ChoiceLoader([PackageLoader(name, ".") for name in dict.fromkeys((package, "tdgbench.report"))])
-    return Environment(
-        loader=folders, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-        finalize=_visible,
-    )  # fmt: skip
-
-
-def _visible(value: Any) -> Any:
-    """Return text without control characters, which HTML forbids, and without changes of direction; SVG as it is."""
-    return printable(value) if type(value) is str else value
 
 
 def environments(records: list[Record]) -> list[list[tuple[str, str]]]:

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tdgbench.bench import colours
 from tdgbench.bench.failures import message
 from tdgbench.cells.ground_truth import masked_in_words
-from tdgbench.report import views
-from tdgbench.report.figures import any_font, plain
+from tdgbench.present.colours import THERMAL, colored, in_colour, shaded
+from tdgbench.present.figures import any_font, plain
+from tdgbench.present.pages import embedded
+from tdgbench.present.pictures import DEPTH, ERROR_RANGE, middle_view, rendered_depth, view_pictures
 from tdgbench.scoring.metrics.seen_pixels import is_barely_seen
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows
@@ -31,7 +32,7 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
     first: dict[str, Cell] = {}
     for cell in cells:
         first.setdefault(method_label(cell.record, with_init=True), cell)
-    view, problems = views.middle_view(cell.folder for cell in first.values()), list[str]()
+    view, problems = middle_view(first.values()), list[str]()
     shown = [method_section(cell, view, methods.label(column), problems) for column, cell in first.items()]
     record = next(iter(first.values())).record
     return {
@@ -42,8 +43,8 @@ def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
         "assumed": assumed_rows([(methods.label(cell.label), cell.record) for cell in cells]),
         "masked": masked_in_words(record.masked),
         "temperature": None if record.temperature_range is None else [f"{t:g}" for t in record.temperature_range],
-        "ramp": views.embedded(colours.colored(np.linspace(0, 1, 200)[None].repeat(8, 0), colours.THERMAL, 0, 1)),
-        "error_range": views.ERROR_RANGE,
+        "ramp": embedded(colored(np.linspace(0, 1, 200)[None].repeat(8, 0), THERMAL, 0, 1)),
+        "error_range": ERROR_RANGE,
         "curves": curves_as_svg(cells, problems),
         "problems": problems,
     }
@@ -67,29 +68,21 @@ def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> di
 
 
 def _pictures(cell: Cell, view: str) -> dict[str, Any]:
-    stored = cell.pictures(view)
-    pictures = {
-        "truth": views.grayed(colours.in_colour(stored.truth), stored.valid),
-        "render": colours.in_colour(stored.render),
-        "error": colours.colored(stored.error, views.ERROR, 0, views.ERROR_RANGE),
-    }
-    return {name: views.embedded(pixels) for name, pixels in pictures.items()}
+    pictures = view_pictures(cell, view)
+    return {name: embedded(getattr(pictures, name)) for name in ("truth", "render", "error")}
 
 
 def _depth(cell: Cell, view: str) -> dict[str, Any]:
-    depth = views.depth_of(cell, view)
+    depth = rendered_depth(cell, view)
     known = depth[np.isfinite(depth)]
     low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
-    return {
-        "depth": views.embedded(colours.colored(depth, views.DEPTH, low, high)),
-        "depth_range": f"{low:.3g} to {high:.3g}",
-    }
+    return {"depth": embedded(colored(depth, DEPTH, low, high)), "depth_range": f"{low:.3g} to {high:.3g}"}
 
 
 def _guesses(cell: Cell, view: str) -> dict[str, Any]:
     render, determinacy = cell.pictures(view).render, cell.determinacy(view)
     return {
-        "guesses": views.embedded(colours.shaded(colours.in_colour(render), determinacy)),
+        "guesses": embedded(shaded(in_colour(render), determinacy)),
         "barely_seen": f"{is_barely_seen(determinacy).mean():.0%}",
     }
 

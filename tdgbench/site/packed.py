@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from tdgbench.cells.paths import folder_name
 from tdgbench.cells.plan import Plan, read_plan
@@ -19,11 +18,12 @@ from tdgbench.cells.record import Record
 from tdgbench.packs import manifest, unpacked
 from tdgbench.packs.checklist import Item, checklist
 from tdgbench.packs.manifest import Manifest
-from tdgbench.report.scores import main_scores
+from tdgbench.present.grid import GridCell
 from tdgbench.tables.build import Tables, build_tables
-from tdgbench.tables.cell import Cell, finished_cells
+from tdgbench.tables.cell import Cell
+from tdgbench.tables.grids import SCENE_KEYS
 from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import AVERAGE, COLUMNS, HOURS, OVERALL, as_text
+from tdgbench.tables.measures import AVERAGE, OVERALL
 from tdgbench.tables.palette import image_values
 
 AVERAGES = (AVERAGE, OVERALL)
@@ -40,7 +40,11 @@ class Pack:
     plan: Plan
     checklist: list[Item]
     tables: Tables
-    cells: list[Cell]
+
+    @property
+    def cells(self) -> list[Cell]:
+        """The finished cells."""
+        return self.tables.results.finished
 
     @property
     def page(self) -> str:
@@ -60,10 +64,10 @@ class Pack:
 
 
 @dataclass(frozen=True)
-class Row:
+class BoardRow:
     """A row of a leaderboard: a method's column on one scene, or on average over those of a pack.
 
-    settings: of its protocol. scores: text, sort, bold, title, verdict and published number of each of COLUMNS.
+    settings: of its protocol. scores: of each of COLUMNS.
     """
 
     pack: Pack
@@ -74,7 +78,7 @@ class Row:
     method: str
     column: str  # the method with its points and overrides
     records: list[Record]
-    scores: list[dict[str, Any]]
+    scores: tuple[GridCell, ...]
     truths: frozenset[int] = frozenset()  # numbers of `truth_groups`, of its cells
 
     @property
@@ -131,50 +135,34 @@ def opened_packs(paths: Sequence[Path]) -> Iterator[list[Pack]]:
 def _read(path: Path, folder: Path, content: Manifest, sha256: str) -> Pack:
     plan, items = read_plan(folder), checklist(folder)
     replace(plan, table="main").write(folder)  # an ablation has a leaderboard as well
-    tables = build_tables(folder)
-    cells = finished_cells(folder, tables.records)
-    return Pack(path.name, path.stat().st_size, sha256, content, plan, items, tables, cells)
+    return Pack(path.name, path.stat().st_size, sha256, content, plan, items, build_tables(folder))
 
 
-def rows_of(pack: Pack, truths: Mapping[Path, int]) -> list[Row]:
+def rows_of(pack: Pack, truths: Mapping[Path, int]) -> list[BoardRow]:
     """Return the rows of a pack: scenes that a method's column has a finished cell of, and averages over several.
 
     truths: `truth_groups` of the cells of all packs.
     """
-    main = pack.tables.main
-    protocols = main.set_index(["dataset", "scene", "method"])["protocol"].to_dict()
-    scenes = {(cell.record.dataset, cell.record.scene) for cell in pack.cells}
-    several = {dataset for dataset, _ in scenes if sum(other == dataset for other, _ in scenes) > 1}
+    protocols = pack.tables.main.set_index(SCENE_KEYS)["protocol"].to_dict()
+    scenes = {cell.dataset_and_scene for cell in pack.cells}
+    in_dataset = Counter(dataset for dataset, _ in scenes)
     rows = []
-    for place in main_scores(pack.tables)["rows"]:
-        dataset, scene, column = key = place["key"]
-        is_shown = dataset in several if scene == AVERAGE else (dataset, scene) in scenes
-        if is_shown and any(cell["text"] != "n/a" for cell in place["cells"]):
-            numbers = zip(COLUMNS, place["cells"], strict=True)
-            scores = [{**cell, "published": _published(pack, key, metric)} for metric, cell in numbers]
-            cells = [
-                cell
-                for cell in pack.cells
-                if method_label(cell.record, with_init=True) == column
-                and cell.record.dataset == dataset
-                and scene in (cell.record.scene, AVERAGE)
-            ]
-            records, found = [cell.record for cell in cells], frozenset(truths[cell.folder] for cell in cells)
-            settings, method = protocol_settings(records[0].config), records[0].method
-            rows.append(Row(pack, protocols[key], settings, dataset, scene, method, column, records, scores, found))
+    for row in pack.tables.grid.rows:
+        dataset, scene, column = row.place
+        is_shown = in_dataset[dataset] > 1 if scene == AVERAGE else (dataset, scene) in scenes
+        if is_shown and any(cell.text != "n/a" for cell in row.cells):
+            cells = [cell for cell in pack.cells if _is_behind(cell, dataset, scene, column)]
+            first, found = cells[0].record, frozenset(truths[cell.folder] for cell in cells)
+            settings, records = protocol_settings(first.config), [cell.record for cell in cells]
+            rows.append(
+                BoardRow(pack, protocols[row.place], settings, dataset, scene, first.method, column, records, row.cells,
+                         found)
+            )  # fmt: skip
     return rows
 
 
-def _published(pack: Pack, key: tuple[str, str, str], metric: str) -> str:
-    """Return the published number beside one of ours, with its verdict; empty without."""
-    table = pack.tables.difference
-    if table is None:
-        return ""
-    dataset, scene, column = key
-    found = table[(table["dataset"] == dataset) & (table["scene"] == scene) & (table["method"] == column)]
-    found = found[found["metric"] == metric]
-    if found.empty or np.isnan(found.iloc[0]["published"]):
-        return ""
-    text = as_text(metric, found.iloc[0]["published"], scene)
-    verdict = "" if metric == HOURS.name or np.isnan(found.iloc[0]["difference"]) else f", {found.iloc[0]['verdict']}"
-    return f"published {text}{verdict}"
+def _is_behind(cell: Cell, dataset: str, scene: str, column: str) -> bool:
+    """Return whether a cell is one of those that a row of a leaderboard is of."""
+    record = cell.record
+    is_there = record.dataset == dataset and scene in (record.scene, AVERAGE)
+    return is_there and method_label(record, with_init=True) == column

@@ -12,11 +12,12 @@ from tdgbench.cells.ground_truth import truth_groups
 from tdgbench.cells.key import flat
 from tdgbench.files import whole_folder
 from tdgbench.packs.manifest import SHOWN
-from tdgbench.report.page import environment, environments
+from tdgbench.present.pages import environment
+from tdgbench.present.pictures import ERROR_RANGE
+from tdgbench.report.page import environments
 from tdgbench.report.scores import legend
-from tdgbench.report.views import ERROR_RANGE
 from tdgbench.resources import conf_folder
-from tdgbench.site.packed import Pack, Row, method_page, rows_of, scene_page
+from tdgbench.site.packed import BoardRow, Pack, method_page, rows_of, scene_page
 from tdgbench.site.pictures import cards_of, files_of_cards
 from tdgbench.site.plot import plot
 from tdgbench.tables import methods
@@ -54,7 +55,7 @@ def write_site(packs: Sequence[Pack], folder: Path) -> int:
 class _Site:
     """The files of a site, made from packs and rows of their leaderboards."""
 
-    def __init__(self, packs: Sequence[Pack], rows: Sequence[Row]) -> None:
+    def __init__(self, packs: Sequence[Pack], rows: Sequence[BoardRow]) -> None:
         self.packs, self.rows, self.pages = packs, rows, 0
         self.environment = environment("tdgbench.site")
         self.environment.filters["link"] = quote
@@ -114,9 +115,9 @@ class _Site:
         return text.encode()
 
 
-def boards_of(rows: Iterable[Row]) -> list[dict[str, Any]]:
+def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
     """Return the leaderboards of rows, one for each protocol and data set: settings, rows, plot of the averages."""
-    groups: dict[tuple[str, str], list[Row]] = {}
+    groups: dict[tuple[str, str], list[BoardRow]] = {}
     for row in rows:
         groups.setdefault((row.dataset, row.protocol), []).append(row)
     boards = []
@@ -131,14 +132,14 @@ def boards_of(rows: Iterable[Row]) -> list[dict[str, Any]]:
     return boards
 
 
-def palette_in_words(rows: Iterable[Row]) -> str:
+def palette_in_words(rows: Iterable[BoardRow]) -> str:
     """Return what the mark of rows says; empty if no row has one."""
     found = {row.image_values for row in rows} - {""}
     partly = "; some means with it are over other scenes as well" if IN_SOME in found else ""
     return f"{MARK} {WORDS}{partly}" if found else ""
 
 
-def mixed_scenes(rows: Iterable[Row]) -> list[str]:
+def mixed_scenes(rows: Iterable[BoardRow]) -> list[str]:
     """Return the scenes whose rows are of different images, views or ranges, so that their scores do not compare."""
     measured: dict[str, set[str]] = {}
     for row in rows:

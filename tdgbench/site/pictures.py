@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from PIL import Image
 
-from tdgbench.bench import colours
 from tdgbench.cells.protocol import protocol_settings
-from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view
+from tdgbench.present.pictures import grayed, middle_view, view_pictures
 from tdgbench.site.packed import Pack
 from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import method_label
@@ -53,7 +52,7 @@ def cards_of(packs: Sequence[Pack], dataset: str, scene: str) -> list[list[Card]
                 card = sections.setdefault(views, {}).setdefault(same, Card(column, cell, []))
                 card.packs.append(pack)
     for section in sections.values():
-        view = middle_view(card.cell.folder for card in section.values())
+        view = middle_view(card.cell for card in section.values())
         for card in section.values():
             _draw(card, view)
     return [[*section.values()] for section in sections.values()]
@@ -68,12 +67,11 @@ def _test_views(cell: Cell) -> str:
 def _draw(card: Card, view: str) -> None:
     card.view = view
     try:
-        stored = card.cell.pictures(view)
+        drawn = view_pictures(card.cell, view)
     except (OSError, ValueError) as error:
         card.problem = str(error)
         return
-    truth, render = (grayed(colours.in_colour(pixels), stored.valid) for pixels in (stored.truth, stored.render))
-    card.pictures = {"truth": truth, "render": render, "error": colours.colored(stored.error, ERROR, 0, ERROR_RANGE)}
+    card.pictures = {"truth": drawn.truth, "render": grayed(drawn.render, drawn.valid), "error": drawn.error}
 
 
 def files_of_cards(cards: Sequence[Card]) -> dict[str, bytes]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from tdgbench.site.packed import Row
+from tdgbench.site.packed import BoardRow
 from tdgbench.tables import methods
 from tdgbench.tables.measures import COLUMNS, HOURS
 from tdgbench.text import duration, shortened
@@ -23,45 +23,65 @@ TICK_WIDTH, LABEL_HEIGHT = 52, 15  # px
 PSNR, TIME = COLUMNS.index("psnr"), COLUMNS.index(HOURS.name)
 
 
-def plot(rows: Sequence[Row]) -> dict[str, Any] | None:
-    """Return points and ticks of PSNR against time (logarithmic); None where fewer than two rows have both."""
-    known = [row for row in rows if row.scores[PSNR]["sort"] != "" and _seconds(row) > 0]
-    if len(known) < 2:
-        return None
-    seconds, psnr = (np.array(values) for values in ([_seconds(r) for r in known], [_psnr(r) for r in known]))
-    low = max((tick for tick in TICKS if tick < seconds.min()), default=seconds.min() / 2)
-    high = min((tick for tick in TICKS if tick > seconds.max()), default=seconds.max() * 2)
-    ends_x = math.log(low), math.log(high)
-    resolved = 1e-4 * float(np.abs(psnr).max())  # what floats and texts of ticks tell apart
-    room = max(0.08 * float(np.ptp(psnr)), 0.25, resolved)
-    ends_y = float(psnr.min()) - room, float(psnr.max()) + room
-    step = _step(ends_y[1] - ends_y[0])
-    levels = np.arange(math.ceil(ends_y[0] / step), math.floor(ends_y[1] / step) + 1) * step
+class Frame(NamedTuple):
+    """The frame of a plot: ends of time (s, on a logarithmic axis) and of PSNR (dB)."""
 
-    def x(value: float) -> float:
-        share = (math.log(value) - ends_x[0]) / (ends_x[1] - ends_x[0])
+    first: float
+    last: float
+    low: float
+    high: float
+
+    def x(self, seconds: float) -> float:
+        """Return the place of a time, px from the left."""
+        share = (math.log(seconds) - math.log(self.first)) / (math.log(self.last) - math.log(self.first))
         return round(LEFT + share * (WIDTH - LEFT - RIGHT), 1)
 
-    def y(value: float) -> float:
-        return round(TOP + (ends_y[1] - value) / (ends_y[1] - ends_y[0]) * (HEIGHT - TOP - BOTTOM), 1)
+    def y(self, psnr: float) -> float:
+        """Return the place of a PSNR, px from the top."""
+        return round(TOP + (self.high - psnr) / (self.high - self.low) * (HEIGHT - TOP - BOTTOM), 1)
 
-    places = [(x(s), y(p)) for s, p in zip(seconds, psnr, strict=True)]
-    labels = _apart([place[1] for place in places])
-    ticks: list[tuple[float, str]] = []
-    for second in TICKS:
-        if low <= second <= high and (not ticks or x(second) - ticks[-1][0] > TICK_WIDTH):
-            ticks.append((x(second), duration(second)))
+    def x_ticks(self) -> list[tuple[float, str]]:
+        """Return places and texts of round times that do not overlap."""
+        ticks: list[tuple[float, str]] = []
+        for second in TICKS:
+            if self.first <= second <= self.last and (not ticks or self.x(second) - ticks[-1][0] > TICK_WIDTH):
+                ticks.append((self.x(second), duration(second)))
+        return ticks
+
+    def y_ticks(self) -> list[tuple[float, str]]:
+        """Return places and texts of round PSNRs."""
+        step = _step(self.high - self.low)
+        levels = np.arange(math.ceil(self.low / step), math.floor(self.high / step) + 1) * step
+        return [(self.y(level), _text(level, 1 if step < 1 else 0)) for level in levels.tolist()]
+
+
+def plot(rows: Sequence[BoardRow]) -> dict[str, Any] | None:
+    """Return points and ticks of PSNR against time (logarithmic); None where fewer than two rows have both."""
+    known = [row for row in rows if row.scores[PSNR].sort != "" and _seconds(row) > 0]
+    if len(known) < 2:
+        return None
+    seconds, psnr = [_seconds(row) for row in known], [_psnr(row) for row in known]
+    frame = _frame(np.array(seconds), np.array(psnr))
+    places = [(frame.x(s), frame.y(p)) for s, p in zip(seconds, psnr, strict=True)]
+    points = [
+        {"x": place[0], "y": place[1], "label_y": label, "name": shortened(methods.label(row.column), LONGEST),
+         "title": f"{methods.label(row.column)}, {row.pack.name}: {_text(_psnr(row), 2)} dB in "
+                  f"{duration(_seconds(row))}"}
+        for row, place, label in zip(known, places, _spread([place[1] for place in places]), strict=True)
+    ]  # fmt: skip
     return {
         "width": WIDTH, "height": HEIGHT, "left": LEFT, "right": WIDTH - RIGHT, "bottom": HEIGHT - BOTTOM, "top": TOP,
-        "points": [
-            {"x": place[0], "y": place[1], "label_y": label, "name": shortened(methods.label(row.column), LONGEST),
-             "title": f"{methods.label(row.column)}, {row.pack.name}: {_text(_psnr(row), 2)} dB in "
-                      f"{duration(_seconds(row))}"}
-            for row, place, label in zip(known, places, labels, strict=True)
-        ],
-        "x_ticks": ticks,
-        "y_ticks": [(y(level), _text(level, 1 if step < 1 else 0)) for level in levels.tolist()],
+        "points": points, "x_ticks": frame.x_ticks(), "y_ticks": frame.y_ticks(),
     }  # fmt: skip
+
+
+def _frame(seconds: np.ndarray, psnr: np.ndarray) -> Frame:
+    """Return a frame with some room around all points."""
+    first = max((tick for tick in TICKS if tick < seconds.min()), default=seconds.min() / 2)
+    last = min((tick for tick in TICKS if tick > seconds.max()), default=seconds.max() * 2)
+    resolved = 1e-4 * float(np.abs(psnr).max())  # what floats and texts of ticks tell apart
+    room = max(0.08 * float(np.ptp(psnr)), 0.25, resolved)
+    return Frame(first, last, float(psnr.min()) - room, float(psnr.max()) + room)
 
 
 def _step(span: float) -> float:
@@ -79,19 +99,19 @@ def _text(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if abs(value) < 1e6 else f"{value:.6g}"
 
 
-def _psnr(row: Row) -> float:
-    return min(max(float(row.scores[PSNR]["sort"]), -LARGEST), LARGEST)
+def _psnr(row: BoardRow) -> float:
+    return min(max(float(row.scores[PSNR].sort), -LARGEST), LARGEST)
 
 
-def _seconds(row: Row) -> float:
-    hours = row.scores[TIME]["sort"]
+def _seconds(row: BoardRow) -> float:
+    hours = row.scores[TIME].sort
     return 0.0 if hours == "" or float(hours) <= 0 else min(max(3600 * float(hours), SHORTEST), LONGEST_TIME)
 
 
-def _apart(heights: Sequence[float]) -> list[float]:
+def _spread(heights: Sequence[float]) -> list[float]:
     """Return heights of labels (px) that do not overlap, near those of their points.
 
-    >>> _apart([20, 21, 100])
+    >>> _spread([20, 21, 100])
     [20, 35, 100]
     """
     found, last = list(heights), -math.inf

@@ -39,7 +39,7 @@ def doubts_of(records: Iterable[Record]) -> list[str]:
     return list(dict.fromkeys(said))
 
 
-class Apart(NamedTuple):
+class AssumedDifference(NamedTuple):
     """A statement on the files of a scene that differs between two records. scene: with its data set."""
 
     scene: str
@@ -51,29 +51,31 @@ class Apart(NamedTuple):
     def sentence(self) -> str:
         """The difference in words.
 
-        >>> Apart("synthetic/orbit", "size", "160×120 px", "640×480 px").sentence
+        >>> AssumedDifference("synthetic/orbit", "size", "160×120 px", "640×480 px").sentence
         'synthetic/orbit, size: 160×120 px → 640×480 px'
         """
         return f"{self.scene}, {self.name}: {self.a} → {self.b}"
 
 
-def assumed_apart(pairs: Iterable[tuple[Record, Record]]) -> list[Apart]:
+def assumed_differences(pairs: Iterable[tuple[Record, Record]]) -> list[AssumedDifference]:
     """Return in what the statements of two records of one scene differ, each difference once, scene by scene.
 
     Where one of them states nothing, as records of earlier versions do, that is the one difference.
     """
-    found: dict[Apart, None] = {}
+    found: dict[AssumedDifference, None] = {}
     for a, b in pairs:
         scene = f"{a.dataset}/{a.scene}"
         if not a.assumed or not b.assumed:
             if a.assumed or b.assumed:
-                found[Apart(scene, "assumptions", *("stated" if one.assumed else UNSTATED for one in (a, b)))] = None
+                found[
+                    AssumedDifference(scene, "assumptions", *("stated" if one.assumed else UNSTATED for one in (a, b)))
+                ] = None
             continue
         texts = [{**one.assumed, DOUBTS: "; ".join(one.doubts) or "none"} for one in (a, b)]
         for name in dict.fromkeys([*texts[0], *texts[1]]):
             mine, theirs = (text.get(name, UNSTATED) for text in texts)
             if mine != theirs:
-                found[Apart(scene, name, mine, theirs)] = None
+                found[AssumedDifference(scene, name, mine, theirs)] = None
     return sorted(found, key=lambda one: one.scene)
 
 

@@ -13,91 +13,114 @@ from pathlib import Path
 import pandas as pd
 
 from tdgbench.cells.plan import Plan
-from tdgbench.cells.record import Record, no_records
+from tdgbench.cells.record import Record
 from tdgbench.files import write_text
+from tdgbench.present.grid import Grid
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.as_csv import to_csv
-from tdgbench.tables.between_papers import against_others, between_papers, with_other_papers
+from tdgbench.tables.between_papers import against_others, between_papers
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
+from tdgbench.tables.grids import ABLATION_KEYS, ablation_grid, main_grid
 from tdgbench.tables.latex import ablation_table, main_table
-from tdgbench.tables.long_table import method_label, scene_rows, with_averages, with_bold, with_protocols
+from tdgbench.tables.long_table import cell_rows, method_label, scene_rows, with_averages, with_bold, with_protocols
 from tdgbench.tables.measures import ABLATION, AVERAGE, KEYS, OVERALL
 from tdgbench.tables.palette import COLUMN, with_image_values
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
-from tdgbench.tables.records import Results, read_results
-from tdgbench.tables.statistics import MethodComparison, intervals, over_seeds, paired_tests, speed_table
-from tdgbench.tables.verdicts import ScoreVerdict, verdict
+from tdgbench.tables.results import Results, read_results
+from tdgbench.tables.statistics import MethodComparison, compare_methods, intervals, over_seeds
+from tdgbench.tables.verdicts import against_published
 
 INITS = ("random", "colmap")  # of the paper's Table 2
-ABLATION_KEYS = ["method", "init", "metric"]
+MAIN_COLUMNS = [*KEYS, "value", "bold", "reason", "seeds", "std", "ci95_low", "ci95_high", "split", "protocol", COLUMN]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Tables:
     """The tables of an experiment. difference and papers are None where nothing is published for these scenes."""
 
-    kind: str  # main, ablation or readings
+    results: Results  # plan and cells behind the tables
     main: pd.DataFrame
-    latex: str
     difference: pd.DataFrame | None
-    folder: Path
-    records: list[Record]  # the cells behind the tables
     findings: list[str]  # in sentences
-    problems: list[str]  # what could not be read
     comparisons: Sequence[MethodComparison] = ()  # of methods with their baselines
     papers: pd.DataFrame | None = None  # spread between papers
     readings: pd.DataFrame | None = None  # by method and length; of table=readings alone
     effects: pd.DataFrame | None = None
 
+    @property
+    def is_ablation(self) -> bool:
+        return self.results.plan.table == "ablation"
+
+    @property
+    def records(self) -> list[Record]:
+        return self.results.records
+
+    @property
+    def problems(self) -> list[str]:
+        """What could not be read."""
+        return self.results.problems
+
+    @property
+    def folder(self) -> Path:
+        return self.results.tables
+
+    @property
+    def grid(self) -> Grid:
+        """The main table as readers see it."""
+        if self.is_ablation:
+            return ablation_grid(self.main, self.difference)
+        return main_grid(self.main, self.difference)
+
+    @property
+    def latex(self) -> str:
+        """The main table as LaTeX."""
+        return ablation_table(self.main, self.grid) if self.is_ablation else main_table(self.main, self.grid)
+
 
 def build_tables(experiment: Path) -> Tables:
     """Build and write the tables of an experiment. Raises ValueError, naming the folder, if it is empty.
 
-    A record that cannot be read gives n/a with the reason, and is one of the tables' `problems`.
+    A record that cannot be read gives n/a with the reason, and is one of the results' `problems`.
     """
     results = read_results(experiment)
-    if not results.records and not results.plan.scenes:
-        raise no_records(experiment)
-    tables = (_ablation if results.plan.table == "ablation" else _main)(results, experiment)
+    tables = (_ablation if results.plan.table == "ablation" else _main)(results)
     _write(tables)
     return tables
 
 
-def _main(results: Results, experiment: Path) -> Tables:
+def _main(results: Results) -> Tables:
     """Build the main table and what goes with it; with table=readings, those of the readings as well."""
-    records, plan = results.records, results.plan
-    bold = with_bold(with_averages(scene_rows(records, plan)))
-    main = bold.merge(over_seeds(records, plan), on=KEYS, how="left")
-    main["seeds"] = main["seeds"].fillna(0).astype(int)
-    main = with_protocols(main.merge(intervals(records, experiment), on=KEYS, how="left"), records)
+    records = results.records
+    rows = cell_rows(records, results.plan)
+    main = with_protocols(with_bold(with_averages(scene_rows(rows))), records)
     main = with_image_values(main, records, partial(method_label, with_init=True))
+    main = main.merge(over_seeds(rows), on=KEYS, how="left").merge(intervals(results.finished), on=KEYS, how="left")
+    main = main.assign(seeds=main["seeds"].fillna(0).astype(int))[MAIN_COLUMNS]
+    comparisons = compare_methods(main)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
-    against = with_verdicts(difference(main, published_main(), KEYS), main, KEYS) if of_paper else None
-    pairs = [pair for pair in methods.pairs() if {*pair} <= {*main["method"]}]
-    comparisons = [MethodComparison(pair, paired_tests(main, pair), speed_table(main, pair)) for pair in pairs]
-    cells = reading_cells(records) if plan.table == "readings" else None
+    against = against_published(main, published_main(), KEYS) if of_paper else None
+    cells = reading_cells(records) if results.plan.table == "readings" else None
     changes = None if cells is None else effects(cells)
     return Tables(
-        kind=plan.table, main=main, latex=main_table(main), difference=against, folder=experiment / "tables",
-        records=records, findings=findings_of_methods(main, against, comparisons, changes), problems=results.problems,
-        comparisons=comparisons, papers=None if against is None else between_papers(),
+        results=results, main=main, difference=against, comparisons=comparisons,
+        findings=findings_of_methods(main, against, comparisons, changes),
+        papers=None if against is None else between_papers(),
         readings=None if cells is None else with_image_values(readings(cells), records),
         effects=None if changes is None else with_image_values(changes, records),
     )  # fmt: skip
 
 
-def _ablation(results: Results, experiment: Path) -> Tables:
+def _ablation(results: Results) -> Tables:
     records, plan = results.records, results.plan
     main = ablation_rows(records, plan)
     datasets = {s.dataset for s in plan.scenes} | {r.dataset for r in records}
     of_paper = datasets <= set(DATASETS.values())  # a mean over other scenes as well is not the published one
-    differences = difference(main, ablation_as_published(main["init"].unique()), ABLATION_KEYS)
-    against = with_verdicts(differences, main, ABLATION_KEYS) if of_paper else None
+    published = ablation_as_published(main["init"].unique())
+    against = against_published(main, published, ABLATION_KEYS) if of_paper else None
     return Tables(
-        kind="ablation", main=main, latex=ablation_table(main), difference=against, folder=experiment / "tables",
-        records=records, findings=findings_of_ablation(main, against), problems=results.problems,
+        results=results, main=main, difference=against, findings=findings_of_ablation(main, against),
         papers=None if against is None else between_papers(),
     )  # fmt: skip
 
@@ -111,7 +134,7 @@ def _write(tables: Tables) -> None:
         files["difference.csv"] = to_csv(tables.difference)
     if tables.papers is not None:
         files["between_papers.csv"] = to_csv(tables.papers)
-        if tables.kind != "ablation":
+        if not tables.is_ablation:
             files["others.csv"] = to_csv(against_others(tables.main))
     for pair, paired, speed in tables.comparisons:
         suffix = "" if pair == methods.paper_pair() else f"_{pair.method}"
@@ -120,36 +143,6 @@ def _write(tables: Tables) -> None:
     tables.folder.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         write_text(tables.folder / name, text)
-
-
-def difference(ours: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """Return one row per published number: keys, ours, published, difference (NaN where ours is n/a), reason.
-
-    >>> ours, paper = (pd.DataFrame({"method": ["tdg"], "value": [value]}) for value in (26.5, 26.25))
-    >>> difference(ours, paper, ["method"])[["ours", "published", "difference"]].values.tolist()
-    [[26.5, 26.25, 0.25]]
-    """
-    mine = ours[[*keys, "value", *(["reason"] if "reason" in ours else [])]].rename(columns={"value": "ours"})
-    merged = published[[*keys, "value"]].rename(columns={"value": "published"}).merge(mine, on=keys, how="left")
-    merged["difference"] = merged["ours"] - merged["published"]
-    if "reason" not in merged:
-        merged["reason"] = ""
-    merged["reason"] = merged["reason"].fillna("no such cell in our results")
-    return merged[[*keys, "ours", "published", "difference", "reason"]]
-
-
-def with_verdicts(differences: pd.DataFrame, main: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """Return the differences with our std, seeds and image_values, fields of ScoreVerdict, other papers' numbers."""
-    merged = differences.merge(main[[*keys, "std", "seeds", COLUMN]], on=keys, how="left")
-    of_images = merged.pop(COLUMN).fillna("")
-    merged["seeds"] = merged["seeds"].fillna(0).astype(int)
-    judged = [
-        verdict(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
-        for r in merged.itertuples()
-    ]
-    verdicts = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index)
-    verdicts = verdicts[["margin", "ci90_low", "ci90_high", "verdict", "seeds_needed", "undecided_because"]]
-    return with_other_papers(pd.concat([merged, verdicts], axis=1)).assign(**{COLUMN: of_images})
 
 
 def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
@@ -161,8 +154,8 @@ def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
     parts = []
     inits = dict.fromkeys([*plan.inits, *(r.init for r in records)]) or INITS
     for init in sorted({*INITS, *inits}, key=lambda name: (not name.startswith("random"), name)):
-        rows = with_averages(scene_rows(records, plan, init))
-        rows = rows.merge(over_seeds([r for r in records if r.init == init], plan, init), on=KEYS, how="left")
+        cells = cell_rows(records, plan, init)
+        rows = with_averages(scene_rows(cells)).merge(over_seeds(cells), on=KEYS, how="left")
         origins = dict.fromkeys(str(r.init_points["how"]) for r in records if r.init == init and "how" in r.init_points)
         datasets = set(rows["dataset"]) - {""}
         chosen = rows[rows["scene"] == (OVERALL if len(datasets) > 1 else AVERAGE)]

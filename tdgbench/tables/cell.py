@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from functools import cached_property
-from pathlib import Path
 
 import pandas as pd
 
 from tdgbench.cells.folder import CellFolder
-from tdgbench.cells.paths import cell_folder_of
-from tdgbench.cells.record import Record
 from tdgbench.scoring import METRICS
 from tdgbench.tables.long_table import method_label, planned_iterations
 
@@ -64,8 +60,3 @@ class Cell(CellFolder):
         except (OSError, ValueError):
             return None
         return pd.DataFrame(list(rows.values()), list(rows), list(METRICS), dtype=float)
-
-
-def finished_cells(experiment: Path, records: Iterable[Record]) -> list[Cell]:
-    """Return the cells of an experiment that have scores."""
-    return [Cell(cell_folder_of(experiment, record), record) for record in records if record.failure is None]

@@ -19,13 +19,12 @@ from tdgbench.files import write_text
 from tdgbench.scoring.backbones import SPECS
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.cell import finished_cells
 from tdgbench.tables.claims import check_all, load_claims
 from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
 from tdgbench.tables.findings import claims_in_words
 from tdgbench.tables.palette import COLUMN, image_values, palette_notes
 from tdgbench.tables.published import published_ablation, published_main
-from tdgbench.tables.records import read_results
+from tdgbench.tables.results import read_results
 from tdgbench.tables.sensitivity import Weights, sensitivity
 from tdgbench.tables.show import show_claims, show_findings, show_problems, show_sensitivity, show_tables
 from tdgbench.terminal import say
@@ -69,10 +68,10 @@ def _weights(text: str) -> tuple[str, str]:
 
 def _sensitivity(experiment: Path, weights: Weights) -> int:
     results = read_results(experiment)
-    cells = finished_cells(experiment, results.records)
+    cells = results.finished
     table = sensitivity(cells, weights).assign(**{COLUMN: image_values(cell.record for cell in cells)})
-    (experiment / "tables").mkdir(exist_ok=True)
-    write_text(experiment / "tables" / "sensitivity.csv", as_csv(table, na_rep="n/a"))
+    results.tables.mkdir(exist_ok=True)
+    write_text(results.tables / "sensitivity.csv", as_csv(table, na_rep="n/a"))
     show_problems(results.problems)
     show_sensitivity(table)
     for note in palette_notes(table):

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import groupby
 
 import numpy as np
 import pandas as pd
 
+from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scenes.registry import GROUPS, SCENES
 from tdgbench.tables import methods
 from tdgbench.tables.long_table import initial_points, protocol_notes
-from tdgbench.tables.measures import ABLATION_PAIRS, AVERAGE, MEASURES, OVERALL, PUBLISHED, digits
-from tdgbench.tables.palette import COLUMN, MARK, is_marked, palette_notes
+from tdgbench.tables.measures import ABLATION, ABLATION_PAIRS, AVERAGE, COLUMNS, MEASURES, OVERALL, PUBLISHED, digits
+from tdgbench.tables.palette import MARK, palette_notes
 from tdgbench.text import one_line
 
 LABELS = {scene.name: scene.label for scene in SCENES}
@@ -68,21 +70,12 @@ def tabular(
     return "\n".join([*notes, *begin, *heads, *body, r"\bottomrule", *marks, r"\end{tabular}", ""])
 
 
-def main_table(rows: pd.DataFrame) -> str:
-    """Return a standalone `tabular` of scenes down, methods × measures across; it needs the package booktabs."""
-    columns = list(dict.fromkeys(rows["method"]))
-    cells = {
-        (r.method, r.dataset, r.scene, r.metric): _number(r.value, digits(r.metric, r.scene), r.bold)
-        for r in rows.itertuples()
-    }
+def main_table(main: pd.DataFrame, grid: Grid) -> str:
+    """Return a standalone `tabular` of scenes down, methods × measures across; it needs the package booktabs.
 
-    marked = {(r.dataset, r.scene) for r in rows.itertuples() if getattr(r, COLUMN, "")}
-
-    def line(label: str, dataset: str, scene: str) -> str:
-        values = [cells[m, dataset, scene, metric] for m in columns for metric in PUBLISHED]
-        mark = LATEX_MARK if (dataset, scene) in marked else ""
-        return f"{label}{mark} & {' & '.join(values)} \\\\"
-
+    grid: `main_grid` of the main table.
+    """
+    columns = list(dict.fromkeys(row.place[2] for row in grid.rows))
     width, per_method = 1 + len(columns) * len(PUBLISHED), len(PUBLISHED)
     titles = [rf"\multicolumn{{{per_method}}}{{c}}{{{escape(methods.label(m))}}}" for m in columns]
     rules = [rf"\cmidrule(lr){{{2 + i * per_method}-{1 + (i + 1) * per_method}}}" for i in range(len(columns))]
@@ -91,52 +84,74 @@ def main_table(rows: pd.DataFrame) -> str:
         "".join(rules),
         f" & {' & '.join(MEASURES[metric].latex_column for _ in columns for metric in PUBLISHED)} \\\\",
     ]
-    lines = []
-    single = rows[rows["scene"] != OVERALL]
-    for dataset, of_dataset in single.groupby("dataset", sort=False):
-        lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{\textbf{{{escape(str(dataset))}}}}} \\"]
-        scenes = of_dataset[of_dataset["scene"] != AVERAGE].drop_duplicates("scene")
-        for group, members in scenes.groupby("group", sort=False):
-            if group:
-                title = escape(GROUPS.get(str(group), str(group)))
-                lines.append(rf"\multicolumn{{{width}}}{{l}}{{\quad\textbf{{{title}}}}} \\")
-            lines += [line(rf"\qquad {escape(LABELS.get(s, s))}", str(dataset), s) for s in members["scene"]]
-        lines.append(line(r"\quad\textbf{Average}", str(dataset), AVERAGE))
-    if (rows["scene"] == OVERALL).any():
-        lines += [r"\midrule", line(r"\textbf{Average (Overall)}", "", OVERALL)]
-    return tabular("l" + "c" * (width - 1), heads, lines, protocol_notes(rows), palette_notes(rows))
+    lines, before = [], ("", "")
+    for (dataset, scene), rows in _by_scene(grid).items():
+        group = rows[columns[0]].group
+        if scene == OVERALL:
+            lines.append(r"\midrule")
+        elif dataset != before[0]:
+            lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{\textbf{{{escape(dataset)}}}}} \\"]
+        if group and (dataset, group) != before:
+            title = escape(GROUPS.get(group, group))
+            lines.append(rf"\multicolumn{{{width}}}{{l}}{{\quad\textbf{{{title}}}}} \\")
+        before = dataset, group
+        mark = LATEX_MARK if any(row.is_marked for row in rows.values()) else ""
+        values = [_number(rows[m].cells[COLUMNS.index(metric)], metric, scene) for m in columns for metric in PUBLISHED]
+        lines.append(f"{_row_title(scene)}{mark} & {' & '.join(values)} \\\\")
+    return tabular("l" + "c" * (width - 1), heads, lines, protocol_notes(main), palette_notes(main))
 
 
-def ablation_table(rows: pd.DataFrame) -> str:
+def ablation_table(main: pd.DataFrame, grid: Grid) -> str:
     """Return a `tabular` as the paper's Table 2: methods × inits down, PSNR / SSIM of views and models across.
 
-    Several kinds of random points are named. rows: method, init, metric, value, bold, points.
+    Several kinds of random points are named. grid: `ablation_grid` of the ablation.
     """
-    several = sum(str(init).startswith("random") for init in rows["init"].unique()) > 1
+    several = sum(init.startswith("random") for init in {row.place[1] for row in grid.rows}) > 1
     parts = " & ".join(MEASURES[psnr].images or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)
     lines = []
-    for method, group in rows.groupby("method", sort=False):
+    for method, rows in groupby(grid.rows, key=lambda row: row.place[0]):
         lines.append(r"\midrule")
-        for init in dict.fromkeys(group["init"]):
-            values = group[group["init"] == init].set_index("metric")
-            kind = str(init).removeprefix("random").strip("_") or "cameras"
+        for row in rows:
+            init, cells = row.place[1], dict(zip(ABLATION, row.cells, strict=True))
+            kind = init.removeprefix("random").strip("_") or "cameras"
             random = r"$\checkmark$" + (f" ({escape(kind)})" if several else "")
-            marks = rf"{random} & $\times$" if str(init).startswith("random") else r"$\times$ & $\checkmark$"
-            pairs = " & ".join(_pair(values, names) for names in ABLATION_PAIRS)
-            mark = LATEX_MARK if is_marked(values) else ""
-            lines.append(f"{escape(methods.label(str(method)))}{mark} & {marks} & {pairs} \\\\")
+            marks = rf"{random} & $\times$" if init.startswith("random") else r"$\times$ & $\checkmark$"
+            pairs = " & ".join(_pair(cells, names) for names in ABLATION_PAIRS)
+            mark = LATEX_MARK if row.is_marked else ""
+            lines.append(f"{escape(methods.label(method))}{mark} & {marks} & {pairs} \\\\")
     heads = [rf" & Random & COLMAP & {parts} \\"]
-    return tabular("lcc" + "c" * len(ABLATION_PAIRS), heads, lines, initial_points(rows), palette_notes(rows))
+    return tabular("lcc" + "c" * len(ABLATION_PAIRS), heads, lines, initial_points(main), palette_notes(main))
 
 
-def _pair(values: pd.DataFrame, names: Sequence[str]) -> str:
+def _by_scene(grid: Grid) -> dict[tuple[str, str], dict[str, GridRow]]:
+    """Return the rows of a main table by data set and scene, then method: scenes of a group together, then averages."""
+    by_scene: dict[tuple[str, str], dict[str, GridRow]] = {}
+    for row in grid.rows:
+        by_scene.setdefault((row.place[0], row.place[1]), {})[row.place[2]] = row
+    nth_dataset = {dataset: i for i, dataset in enumerate(dict.fromkeys(dataset for dataset, _ in by_scene))}
+    groups = dict.fromkeys((row.place[0], row.group) for row in grid.rows if row.place[1] != AVERAGE)
+    nth_group = {place: i for i, place in enumerate(groups)}
+
+    def position(place: tuple[str, str]) -> tuple[bool, int, bool, int]:
+        group = next(iter(by_scene[place].values())).group
+        return place[1] == OVERALL, nth_dataset[place[0]], place[1] == AVERAGE, nth_group.get((place[0], group), 0)
+
+    return {place: by_scene[place] for place in sorted(by_scene, key=position)}
+
+
+def _row_title(scene: str) -> str:
+    titles = {AVERAGE: r"\quad\textbf{Average}", OVERALL: r"\textbf{Average (Overall)}"}
+    return titles.get(scene) or rf"\qquad {escape(LABELS.get(scene, scene))}"
+
+
+def _pair(cells: Mapping[str, GridCell], names: Sequence[str]) -> str:
     """Return PSNR / SSIM of a model and its views; bold if either is best."""
-    text = " / ".join(_number(values.loc[name, "value"], digits(name, OVERALL), False) for name in names)
-    return rf"\textbf{{{text}}}" if bool(values.loc[list(names), "bold"].any()) else text
+    text = " / ".join(_number(cells[name]._replace(bold=False), name, OVERALL) for name in names)
+    return rf"\textbf{{{text}}}" if any(cells[name].bold for name in names) else text
 
 
-def _number(value: float, places: int, bold: bool) -> str:
-    if np.isnan(value):
+def _number(cell: GridCell, metric: str, scene: str) -> str:
+    if np.isnan(cell.value):
         return "n/a"
-    text = f"{value:.{places}f}"
-    return rf"\textbf{{{text}}}" if bold else text
+    text = f"{cell.value:.{digits(metric, scene)}f}"
+    return rf"\textbf{{{text}}}" if cell.bold else text

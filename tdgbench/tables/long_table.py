@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import asdict
-from functools import cache
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -15,6 +14,7 @@ from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables import methods
 from tdgbench.tables.measures import AVERAGE, COLUMNS, EXTRA, KEYS, MEASURES, OVERALL, TRAINING, RecordMeasure, digits
+from tdgbench.tables.palette import with_text_of_cells
 
 SPLITS = {
     "eighty_twenty": "every 5th view is tested, 80/20 as the paper says",
@@ -56,8 +56,8 @@ def planned_iterations(record: Record) -> int:
     return planned if isinstance(planned, int) and record.made_elsewhere is None else record.iterations
 
 
-def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
-    """Return rows (KEYS, value, reason) of every method × scene × metric, mean over seeds; n/a without a record.
+def cell_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
+    """Return rows (KEYS, seed, value, reason) of every method × scene × metric × record; n/a where there is no record.
 
     With `init` only its records count, and inits do not make columns.
     """
@@ -73,30 +73,42 @@ def scene_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -
     rows = []
     for method in sorted({*labels, *without_records}, key=methods.rank):
         for scene in scenes:
-            cells = by_place.get((method, scene.dataset, scene.scene), [])
+            found = by_place.get((method, scene.dataset, scene.scene), [])
             for metric in (*COLUMNS, *EXTRA):
-                pairs = [metric_value(r, metric) for r in cells] or [(np.nan, NO_RECORD)]
-                value = float(np.mean([v for v, _ in pairs]))  # NaN if any seed lacks it
-                reason = next((reason for _, reason in pairs if reason), "")
-                rows.append({"method": method, **asdict(scene), "metric": metric, "value": value, "reason": reason})
-    return pd.DataFrame(rows, columns=[*KEYS, "value", "reason"])
+                key = [method, scene.dataset, scene.group, scene.scene, metric]
+                numbers = [[r.seed, *metric_value(r, metric)] for r in found] or [[np.nan, np.nan, NO_RECORD]]
+                rows += [[*key, *number] for number in numbers]
+    return pd.DataFrame(rows, columns=[*KEYS, "seed", "value", "reason"])
+
+
+def scene_rows(cells: pd.DataFrame) -> pd.DataFrame:
+    """Return rows (KEYS, value, reason): means over the seeds of `cell_rows`; n/a if any seed lacks the number."""
+    of_seeds = cells.groupby(KEYS, sort=False)
+    means = of_seeds["value"].agg(lambda values: values.mean(skipna=False))
+    reasons = of_seeds["reason"].agg(lambda texts: next((text for text in texts if text), ""))
+    return pd.concat([means, reasons], axis=1).reset_index()
+
+
+def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows and their averages per data set and overall; an average over a missing number is n/a."""
+    parts = [rows, _averages(rows, ["method", "dataset", "metric"]).assign(scene=AVERAGE)]
+    if rows["dataset"].nunique() > 1:
+        parts.append(_averages(rows, ["method", "metric"]).assign(scene=OVERALL, dataset=""))
+    table = pd.concat(parts, ignore_index=True)[[*KEYS, "value", "reason"]]
+    nth_method, nth_dataset = ({name: i for i, name in enumerate(rows[c].unique())} for c in ("method", "dataset"))
+    places = zip(table["method"], table["dataset"], table["scene"], strict=True)
+    table["place"] = [(nth_method[m], s == OVERALL, nth_dataset.get(d, 0), s == AVERAGE) for m, d, s in places]
+    return table.sort_values("place", kind="stable", ignore_index=True).drop(columns="place")
 
 
 def with_protocols(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
     """Return the rows with `split` and `protocol` of their cells (`a + b` for an average over both)."""
-    cells = [(method_label(record, with_init=True), record) for record in records if record.failure is None]
 
-    @cache
-    def joined(name: str, method: str, dataset: str, scene: str) -> str:
-        of_method = [record for label, record in cells if label == method]
-        if scene not in (AVERAGE, OVERALL):
-            chosen = [r for r in of_method if (r.dataset, r.scene) == (dataset, scene)]
-        else:
-            chosen = [r for r in of_method if dataset in ("", r.dataset)]
-        return " + ".join(sorted({getattr(r, name) for r in chosen}))
+    def joined(name: str) -> Callable[[Sequence[Record]], str]:
+        return lambda cells: " + ".join(sorted({getattr(cell, name) for cell in cells}))
 
-    places = [(r.method, r.dataset, r.scene) for r in rows.itertuples()]
-    return rows.assign(**{name: [joined(name, *place) for place in places] for name in ("split", "protocol")})
+    columns = {name: joined(name) for name in ("split", "protocol")}
+    return with_text_of_cells(rows, records, columns, partial(method_label, with_init=True))
 
 
 def protocol_notes(main: pd.DataFrame) -> list[str]:
@@ -107,19 +119,6 @@ def protocol_notes(main: pd.DataFrame) -> list[str]:
         return [*splits, *(f"protocol {name}" for name in single)]
     columns = (f"{name} ({', '.join(dict.fromkeys(main.loc[main['protocol'] == name, 'method']))})" for name in single)
     return [*splits, f"several protocols, whose scores do not compare: {'; '.join(columns)}"]
-
-
-def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows and their averages per data set and overall; an average over a missing number is n/a."""
-    parts = []
-    datasets = list(dict.fromkeys(rows["dataset"]))
-    for method, of_method in rows.groupby("method", sort=False):
-        for dataset in datasets:
-            of_dataset = of_method[of_method["dataset"] == dataset]
-            parts += [of_dataset, _average(of_dataset, str(method), dataset, AVERAGE)]
-        if len(datasets) > 1:
-            parts.append(_average(of_method, str(method), "", OVERALL))
-    return pd.concat(parts, ignore_index=True) if parts else rows
 
 
 def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
@@ -140,15 +139,18 @@ def initial_points(ablation: pd.DataFrame) -> list[str]:
     return [f"{init}: {how}" for init, how in hows.items() if how]
 
 
-def _average(rows: pd.DataFrame, method: str, dataset: str, name: str) -> pd.DataFrame:
-    result = []
-    for metric, group in rows.groupby("metric", sort=False):
+def _averages(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
+    """Return an average over the scenes of each group of rows, and why it is n/a."""
+
+    def average(group: pd.DataFrame) -> pd.Series:
         missing = int(group["value"].isna().sum())
         reasons = set(group["reason"]) - {""}
         why = reasons.pop() if len(reasons) == 1 else f"{missing} of {len(group)} scenes are n/a"
-        value = float(group["value"].mean(skipna=False))
-        result.append([method, dataset, "", name, metric, value, why if missing else ""])
-    return pd.DataFrame(result, columns=[*KEYS, "value", "reason"])
+        return pd.Series({"value": group["value"].mean(skipna=False), "reason": why if missing else "", "group": ""})
+
+    if rows.empty:
+        return rows.iloc[:0]
+    return rows.groupby(over, sort=False)[["value", "reason"]].apply(average).reset_index()
 
 
 def _scenes(records: list[Record], plan: Plan) -> list[Description]:

@@ -6,7 +6,7 @@ mark in a line below.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import attrgetter
 
 import pandas as pd
@@ -38,21 +38,37 @@ def with_image_values(
     table: pd.DataFrame, records: Iterable[Record], method: Callable[[Record], str] = attrgetter("method")
 ) -> pd.DataFrame:
     """Return the table with COLUMN, of the finished cells that each row is of. method: column `method` of a cell."""
-    finished = [record for record in records if record.failure is None]
+    return with_text_of_cells(table, records, {COLUMN: image_values}, method)
+
+
+def with_text_of_cells(
+    table: pd.DataFrame,
+    records: Iterable[Record],
+    columns: Mapping[str, Callable[[Sequence[Record]], str]],
+    method: Callable[[Record], str],
+) -> pd.DataFrame:
+    """Return the table with columns of text on the finished cells that each row is of; an average is of all scenes.
+
+    method: column `method` of a cell.
+    """
     names = [name for name in (*FIELDS, "method") if name in table]
     fields = {name: method if name == "method" else attrgetter(name) for name in names}
+    finished = [(record, tuple(fields[name](record) for name in names)) for record in records if record.failure is None]
 
-    def of_row(place: tuple[str, ...]) -> str:
+    def of_row(place: tuple[str, ...]) -> list[str]:
         wanted = dict(zip(names, place, strict=True))
         if wanted.get("scene") in (AVERAGE, OVERALL):
             del wanted["scene"]
             if not wanted["dataset"]:  # an average over all of them
                 del wanted["dataset"]
-        return image_values(r for r in finished if all(fields[name](r) == value for name, value in wanted.items()))
+        places = [(names.index(name), value) for name, value in wanted.items()]
+        cells = [record for record, found in finished if all(found[i] == value for i, value in places)]
+        return [text(cells) for text in columns.values()]
 
     places = list(table[names].itertuples(index=False, name=None))
     known = {place: of_row(place) for place in set(places)}
-    return table.assign(**{COLUMN: [known[place] for place in places]})
+    texts = pd.DataFrame([known[place] for place in places], table.index, list(columns), dtype=object)
+    return pd.concat([table, texts], axis=1)
 
 
 def is_marked(rows: pd.DataFrame) -> bool:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import groupby
 
-import numpy as np
 import pandas as pd
 from rich.table import Column, Table
 from rich.text import Text
@@ -13,8 +13,8 @@ from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
 from tdgbench.tables.long_table import initial_points, protocol_notes
-from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, MEASURES, OVERALL, PUBLISHED, as_text
-from tdgbench.tables.palette import palette_notes, with_mark
+from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, MEASURES, PUBLISHED, as_text
+from tdgbench.tables.palette import MARK, palette_notes, with_mark
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import verdicts_in_words
 from tdgbench.terminal import console, say
@@ -48,7 +48,7 @@ def format_columns(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) 
 
 def show_tables(tables: Tables) -> None:
     """Print the main table and its differences from the published one; `show_findings` follows."""
-    if tables.kind == "ablation":
+    if tables.is_ablation:
         _show_ablation(tables)
     elif tables.readings is not None and tables.effects is not None:
         _show_readings(tables.readings, tables.effects)
@@ -126,34 +126,31 @@ def _name(name: object) -> Text:
 
 
 def _show_main(tables: Tables) -> None:
-    main = tables.main
-    columns = list(dict.fromkeys(main["method"]))
+    """Print the main table: methods of a scene together, under the scene's name."""
     table = Table("scene", "method")
     for metric in COLUMNS:
         table.add_column(MEASURES[metric].column, justify="right")
-    values = {(r.method, r.dataset, r.scene, r.metric): r for r in main.itertuples()}
-    for (dataset, scene), group in main.groupby(["dataset", "scene"], sort=False):
-        for method in columns:
-            cells = []
-            for metric in COLUMNS:
-                row = values[method, dataset, scene, metric]
-                text = "n/a" if np.isnan(row.value) else as_text(metric, row.value, scene)
-                if not np.isnan(row.std) and metric != HOURS.name:
-                    text += f" ± {as_text(metric, row.std, scene)}"
-                cells.append(Text(text, "bold" if row.bold else ""))
-            title = with_mark(str(scene), group) if method == columns[0] else ""
-            table.add_row(_name(title), _name(method), *cells, end_section=method == columns[-1])
+    for (_, scene), group in groupby(tables.grid.rows, key=lambda row: row.place[:2]):
+        rows = list(group)
+        title = f"{scene} {MARK}" if any(row.is_marked for row in rows) else scene
+        for row in rows:
+            texts = [
+                cell.mean if metric == HOURS.name else cell.text
+                for metric, cell in zip(COLUMNS, row.cells, strict=True)
+            ]
+            numbers = (Text(text, "bold" if cell.bold else "") for text, cell in zip(texts, row.cells, strict=True))
+            table.add_row(_name(title), _name(row.place[2]), *numbers, end_section=row is rows[-1])
+            title = ""
     console().print(table)
 
 
 def _show_ablation(tables: Tables) -> None:
     described = [MEASURES[metric] for metric in ABLATION]
     heads = (metric.column + (f", {metric.images}" if metric.images else "") for metric in described)
-    rows = []
-    for names, group in tables.main.groupby(["method", "init"], sort=False):
-        values = group.set_index("metric")["value"]
-        named = [with_mark(str(names[0]), group), names[1]]
-        rows.append([*named, *("n/a" if np.isnan(values[m]) else as_text(m, values[m], OVERALL) for m in ABLATION)])
+    rows = [
+        [f"{row.place[0]} {MARK}" if row.is_marked else row.place[0], row.place[1], *(cell.mean for cell in row.cells)]
+        for row in tables.grid.rows
+    ]
     show_table(pd.DataFrame(rows, columns=["method", "initial points", *heads]))
     for origin in initial_points(tables.main):
         say(one_line(origin))

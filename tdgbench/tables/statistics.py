@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
-from tdgbench.cells.folder import CellFolder
-from tdgbench.cells.paths import cell_folder_of
-from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import Record
-from tdgbench.tables.long_table import method_label, scene_rows, with_averages
+from tdgbench.tables import methods
+from tdgbench.tables.cell import Cell
+from tdgbench.tables.long_table import method_label, with_averages
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OF_RECORDS, OVERALL, TRAINING, gain
 from tdgbench.tables.methods import MethodPair
 from tdgbench.tables.palette import COLUMN, values_over_scenes
@@ -42,55 +41,59 @@ def mean_interval(values: np.ndarray) -> tuple[float, float, float]:
     return mean, mean - half, mean + half
 
 
-def over_seeds(records: list[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
-    """Return KEYS, seeds, std: the sample standard deviation over seeds, averages included (NaN below two)."""
-    seeds = sorted({record.seed for record in records if record.failure is None})
-    parts = [with_averages(scene_rows([r for r in records if r.seed == seed], plan, init)) for seed in seeds]
+def over_seeds(cells: pd.DataFrame) -> pd.DataFrame:
+    """Return KEYS, seeds, std of `cell_rows`: the sample standard deviation over seeds (NaN below two), and how many.
+
+    An average counts the seeds that all of its scenes have.
+    """
+    by_seed = cells.groupby([*KEYS, "seed"], sort=False)["value"].mean().unstack("seed")
+    rows = cells[KEYS].drop_duplicates()
+    by_seed = by_seed.reindex(pd.MultiIndex.from_frame(rows))
+    parts = [with_averages(rows.assign(value=by_seed[seed].to_numpy(), reason="")) for seed in by_seed]
     if not parts:
         return pd.DataFrame(columns=[*KEYS, "seeds", "std"])
     grouped = pd.concat(parts, ignore_index=True).groupby(KEYS, sort=False)["value"]
     return grouped.agg(seeds="count", std="std").reset_index()
 
 
-def intervals(records: list[Record], experiment: Path) -> pd.DataFrame:
+def intervals(cells: Iterable[Cell]) -> pd.DataFrame:
     """Return KEYS, ci95_low, ci95_high of each mean, by a bootstrap over seeds and the test views of each seed."""
     rng = np.random.default_rng(SEED)
-    cells: dict[tuple[str, str, str, str], list[dict[str, np.ndarray]]] = {}
-    for record in sorted(records, key=lambda r: (r.title, r.seed)):
-        if record.failure is None:
-            key = (method_label(record, with_init=True), record.dataset, record.group, record.scene)
-            cells.setdefault(key, []).append(_values(record, experiment))
-    replicates: dict[tuple[str, ...], np.ndarray] = {}
-    for key, seeds in cells.items():
-        for metric in seeds[0]:
-            if all(metric in values for values in seeds):
-                replicates[(*key, metric)] = _replicates([values[metric] for values in seeds], rng)
-    rows = [_row(key, drawn) for key, drawn in replicates.items()]
-    for method in dict.fromkeys(key[0] for key in replicates):
-        datasets = list(dict.fromkeys(key[1] for key in replicates if key[0] == method))
-        for dataset in [*datasets, *([""] if len(datasets) > 1 else [])]:
-            for metric in dict.fromkeys(key[4] for key in replicates if key[0] == method):
-                chosen = [k for k in replicates if k[0] == method and k[4] == metric and dataset in ("", k[1])]
-                group = [replicates[k] for k in chosen]
-                scene = AVERAGE if dataset else OVERALL
-                rows.append(_row((method, dataset, "", scene, metric), np.mean(group, axis=0)))
-    return pd.DataFrame(rows, columns=[*KEYS, "ci95_low", "ci95_high"])
+    numbers = pd.DataFrame(
+        [
+            [*_place(cell.record), metric, cell.folder, values]
+            for cell in sorted(cells, key=lambda cell: (cell.record.title, cell.record.seed))
+            for metric, values in _values(cell).items()
+        ],
+        columns=[*KEYS, "cell", "values"],
+    )
+    if numbers.empty:
+        return pd.DataFrame(columns=[*KEYS, "ci95_low", "ci95_high"])
+    seeds = numbers.groupby(KEYS[:4], sort=False)["cell"].transform("nunique")
+    of_all_seeds = numbers[numbers.groupby(KEYS, sort=False)["cell"].transform("count") == seeds]
+    means = {key: _replicates(list(group), rng) for key, group in of_all_seeds.groupby(KEYS, sort=False)["values"]}
+    drawn = pd.DataFrame(list(means.values()), pd.MultiIndex.from_tuples(means, names=KEYS))
+    datasets = of_all_seeds.groupby("method")["dataset"].nunique()
+    several = drawn[drawn.index.get_level_values("method").isin(datasets.index[datasets > 1])]
+    parts = [drawn.reset_index(), _averages(drawn, ["method", "dataset", "metric"]).assign(group="", scene=AVERAGE),
+             _averages(several, ["method", "metric"]).assign(dataset="", group="", scene=OVERALL)]  # fmt: skip
+    rows = pd.concat(parts, ignore_index=True)
+    low, high = np.quantile(rows[drawn.columns].to_numpy(), [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2], axis=1)
+    return rows[KEYS].assign(ci95_low=low, ci95_high=high)
 
 
-def _values(record: Record, experiment: Path) -> dict[str, np.ndarray]:
-    """Return every number of a cell: scores by view, hours as one value."""
-    values_by_name = {
-        described.name: np.array([described.of_record(record)]) for described in OF_RECORDS if described.in_main_table
-    }
-    try:
-        rows = list(CellFolder(cell_folder_of(experiment, record), record).read_views().values())
-    except (FileNotFoundError, ValueError):  # `read_results` reports it
-        rows = []
-    for metric in rows[0] if rows else []:
-        values = [row[metric] for row in rows]
-        if None not in values:
-            values_by_name[metric] = np.array(values)
-    return values_by_name
+def _place(record: Record) -> list[str]:
+    """Return a cell's values of KEYS but the metric."""
+    return [method_label(record, with_init=True), record.dataset, record.group, record.scene]
+
+
+def _values(cell: Cell) -> dict[str, np.ndarray]:
+    """Return every number of a cell: those of its record as one value, and scores that all views have, by view."""
+    numbers = {one.name: np.array([one.of_record(cell.record)]) for one in OF_RECORDS if one.in_main_table}
+    views = cell.views  # None: `read_results` reports it
+    if views is not None and len(views):
+        numbers |= {str(metric): views[metric].to_numpy() for metric in views if views[metric].notna().all()}
+    return numbers
 
 
 def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
@@ -101,9 +104,12 @@ def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray
     return np.take_along_axis(means, chosen[None], axis=0)[0].mean(axis=1)
 
 
-def _row(key: tuple[str, ...], drawn: np.ndarray) -> dict[str, object]:
-    low, high = np.quantile(drawn, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
-    return {**dict(zip(KEYS, key, strict=True)), "ci95_low": float(low), "ci95_high": float(high)}
+def _averages(drawn: pd.DataFrame, over: list[str]) -> pd.DataFrame:
+    """Return the mean replicates (columns) over the scenes of each group of rows."""
+    if drawn.empty:
+        return pd.DataFrame(columns=over)
+    of_scenes = drawn.groupby(level=over, sort=False)
+    return of_scenes.apply(lambda rows: pd.Series(rows.to_numpy().mean(axis=0), rows.columns)).reset_index()
 
 
 class MethodComparison(NamedTuple):
@@ -112,6 +118,12 @@ class MethodComparison(NamedTuple):
     pair: MethodPair
     paired: pd.DataFrame
     speed: pd.DataFrame
+
+
+def compare_methods(main: pd.DataFrame) -> list[MethodComparison]:
+    """Compare every method of a main table with its baseline, where the table has both."""
+    there = [pair for pair in methods.pairs() if {*pair} <= {*main["method"]}]
+    return [MethodComparison(pair, paired_tests(main, pair), speed_table(main, pair)) for pair in there]
 
 
 def speed_ratios(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""Verdict on a published number: an equivalence test of our mean over seeds (two one-sided tests, TOST).
+"""Our numbers beside published ones, with verdicts: equivalence tests of means over seeds (two one-sided tests, TOST).
 
 - `reproduced`: the 90 % interval of our mean (Student, 5 % on each side) lies within the margin around the published
   number.
@@ -23,7 +23,9 @@ import pandas as pd
 from omegaconf import OmegaConf
 from scipy.special import stdtrit
 
-from tdgbench.tables.measures import HOURS, MEASURES, half_unit
+from tdgbench.tables.between_papers import with_other_papers
+from tdgbench.tables.measures import HOURS, MEASURES, OVERALL, half_unit
+from tdgbench.tables.palette import COLUMN
 from tdgbench.tables.published import FOLDER
 from tdgbench.tables.statistics import half_width
 
@@ -106,12 +108,12 @@ def _power(shift: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     return nct.sf(-stdtrit(seeds - 1, ALPHA), seeds - 1, np.minimum(shift, 50.0))
 
 
-def verdict(metric: str, scene: str, ours: float, published: float, std: float, seeds: int) -> ScoreVerdict:
+def judge_published(metric: str, scene: str, ours: float, published: float, std: float, seeds: int) -> ScoreVerdict:
     """Judge one published number. ours, std: mean and sample standard deviation over seeds (std NaN for one).
 
     An average over scenes is judged like a scene, by the spread of averages over the seeds that all scenes have.
 
-    >>> verdict("psnr", "Truck", ours=26.3, published=26.28, std=0.05, seeds=3).verdict
+    >>> judge_published("psnr", "Truck", ours=26.3, published=26.28, std=0.05, seeds=3).verdict
     'reproduced'
     """
     nan = float("nan")
@@ -131,6 +133,37 @@ def verdict(metric: str, scene: str, ours: float, published: float, std: float, 
     needed = seeds_needed(abs(ours - published), std, rounding, margin)
     why = "the difference is at the margin" if needed == NEVER else "the interval crosses the margin"
     return ScoreVerdict(word, margin, low, high, needed, why)
+
+
+def difference(ours: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
+    """Return one row per published number: keys, ours, published, difference (NaN where ours is n/a), reason.
+
+    >>> ours, paper = (pd.DataFrame({"method": ["tdg"], "value": [value]}) for value in (26.5, 26.25))
+    >>> difference(ours, paper, ["method"])[["ours", "published", "difference"]].values.tolist()
+    [[26.5, 26.25, 0.25]]
+    """
+    mine = ours[[*keys, "value", *(["reason"] if "reason" in ours else [])]].rename(columns={"value": "ours"})
+    merged = published[[*keys, "value"]].rename(columns={"value": "published"}).merge(mine, on=keys, how="left")
+    merged["difference"] = merged["ours"] - merged["published"]
+    if "reason" not in merged:
+        merged["reason"] = ""
+    merged["reason"] = merged["reason"].fillna("no such cell in our results")
+    return merged[[*keys, "ours", "published", "difference", "reason"]]
+
+
+def against_published(main: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
+    """Return `difference` with our std, seeds and image_values, fields of ScoreVerdict, and other papers' numbers."""
+    differences = difference(main, published, keys)
+    merged = differences.merge(main[[*keys, "std", "seeds", COLUMN]], on=keys, how="left")
+    of_images = merged.pop(COLUMN).fillna("")
+    merged["seeds"] = merged["seeds"].fillna(0).astype(int)
+    judged = [
+        judge_published(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
+        for r in merged.itertuples()
+    ]
+    verdicts = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index)
+    verdicts = verdicts[["margin", "ci90_low", "ci90_high", "verdict", "seeds_needed", "undecided_because"]]
+    return with_other_papers(pd.concat([merged, verdicts], axis=1)).assign(**{COLUMN: of_images})
 
 
 def comparable(differences: pd.DataFrame) -> pd.DataFrame:

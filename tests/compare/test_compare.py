@@ -13,14 +13,13 @@ from tdgbench.cells.record import read_record
 from tdgbench.compare.causes import MACHINE, PROTOCOL, TRAINING, find_causes, settings
 from tdgbench.compare.cells import find_pairs, score_table
 from tdgbench.compare.command import main
-from tdgbench.tables.cell import finished_cells
-from tdgbench.tables.records import read_results
+from tdgbench.tables.results import read_results
 from tests.helpers.html_page import HtmlPage
 from tests.helpers.records import record, write
 
 
 def pairs_of(a, b):
-    return find_pairs(*(finished_cells(folder, read_results(folder).records) for folder in (a, b)))
+    return find_pairs(*(read_results(folder).finished for folder in (a, b)))
 
 
 def two_experiments(tmp_path, psnr_a, psnr_b, **extra):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from tdgbench.cells.paths import cell_folder_of
 from tdgbench.cells.record import Record
 from tdgbench.scenes.registry import DATASETS, SCENES
+from tdgbench.tables.build import Tables
 from tdgbench.tables.published import published_ablation, published_main
 
 
@@ -54,3 +57,8 @@ def write_ablation(experiment) -> None:
                     experiment, method, s.name, DATASETS[s.dataset], s.group, init, scores=scores, train_scores=overfit,
                     init_points=points,
                 )  # fmt: skip
+
+
+def without_cells(tables: Tables) -> Tables:
+    """The tables with numbers alone: a report of them has no pictures."""
+    return replace(tables, results=replace(tables.results, cells=[]))

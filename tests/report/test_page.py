@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,7 @@ from tdgbench.tables.build import build_tables
 from tdgbench.terminal import printable
 from tests.helpers.browser import CHROMIUM, opened
 from tests.helpers.html_page import HtmlPage
-from tests.helpers.records import published_as_records, write, write_ablation
+from tests.helpers.records import published_as_records, without_cells, write, write_ablation
 
 ACT = """(() => {
   const input = document.querySelector(".slider input");
@@ -40,7 +39,7 @@ ACT = """(() => {
 def page(tmp_path_factory, small_results):
     """The report of three finished cells and a failed one."""
     experiment = shutil.copytree(small_results, tmp_path_factory.mktemp("page") / "single")
-    return write_report(experiment, build_tables(experiment))
+    return write_report(build_tables(experiment))
 
 
 def test_the_depth_prior_is_named(page):
@@ -63,8 +62,8 @@ def test_everything_is_in_the_file(page):
 
 def test_differences_to_published_numbers(tmp_path):
     published_as_records(tmp_path)
-    tables = replace(build_tables(tmp_path), records=[])  # numbers alone: there are no pictures
-    text = write_report(tmp_path, tables).read_text()
+    tables = without_cells(build_tables(tmp_path))
+    text = write_report(tables).read_text()
     assert text.count('class="note undecided"') > 100 and "+0.00" in text and "No finished cells" in text
     assert text.count('id="papers"') == 1 and "tdg 24.06; thermosplat-2601 26.16" in text
     begin = text[text.index("</h1>") : text.index("<h2>")]
@@ -75,8 +74,8 @@ def test_differences_to_published_numbers(tmp_path):
 def test_an_ablation(tmp_path):
     write_ablation(tmp_path)
     Plan("ablation").write(tmp_path)
-    tables = replace(build_tables(tmp_path), records=[])
-    text = write_report(tmp_path, tables).read_text()
+    tables = without_cells(build_tables(tmp_path))
+    text = write_report(tables).read_text()
     assert "PSNR of the training views, dB ↑" in text and "random: somewhere" in text
     assert text.count('class="note undecided"') == 8 and "40.00" in text
 
@@ -85,7 +84,7 @@ def test_assumptions_and_doubts_are_on_the_page(tmp_path):
     stated = {"assumed": {"size": "160×120 px", "values": "palette"}, "doubts": ["view007: <b>far</b> away"]}
     write(tmp_path, "tdg", "orbit", "synthetic", **stated)
     write(tmp_path, "msmg", "orbit", "synthetic", **{**stated, "assumed": {"size": "640×480 px", "values": "palette"}})
-    page = HtmlPage(text := write_report(tmp_path, build_tables(tmp_path)).read_text())
+    page = HtmlPage(text := write_report(build_tables(tmp_path)).read_text())
     assert {"160×120 px (TDg)", "640×480 px (MSMG)", "palette"} <= page.texts and text.count("<dt>values</dt>") == 1
     assert "doubts" in page.ids and text.index("view007") < text.index("<h2>Scores") and text.count("view007") == 1
     assert "synthetic/orbit: view007: <b>far</b> away" in page.texts
@@ -111,7 +110,7 @@ def page_of(experiment, names) -> str:
         write(experiment, method=name, scene=name, dataset="synthetic", group=name, split="folder",
               assumed={name: name}, doubts=[name])  # fmt: skip
         write(experiment, scene="orbit", dataset="synthetic", seed=seed, status="failed", failure=failure)
-    return write_report(experiment, build_tables(experiment)).read_text(encoding="utf-8")
+    return write_report(build_tables(experiment)).read_text(encoding="utf-8")
 
 
 def nothing(path: Path) -> None:
@@ -146,7 +145,7 @@ def test_what_cannot_be_read_is_na_on_the_page(small_results, tmp_path, name, sp
     experiment = Path(shutil.copytree(small_results, tmp_path / "single"))
     cell = experiment / "cells" / "msmg" / "synthetic" / "turntable" / "colmap" / "seed0"
     spoil(cell / name)
-    text = write_report(experiment, build_tables(experiment)).read_text(encoding="utf-8")
+    text = write_report(build_tables(experiment)).read_text(encoding="utf-8")
     assert text.rstrip().endswith("</html>") and text.count('<section class="scene">') == 2 and "tdg" in text
     if name == "record.json":
         assert name in text

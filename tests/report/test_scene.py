@@ -4,13 +4,12 @@ import io
 import numpy as np
 from PIL import Image
 
-from tdgbench.cells.record import read_all
 from tdgbench.report.scene import scene_section
-from tdgbench.tables.cell import finished_cells
+from tdgbench.tables.results import read_results
 
 
 def test_a_scene_shows_the_middle_view_of_every_method(small_results):
-    cells = [c for c in finished_cells(small_results, read_all(small_results)) if c.record.scene == "turntable"]
+    cells = cells_of(small_results)
     section = scene_section("synthetic", "turntable", cells)
     names = sorted(path.stem for path in (cells[0].folder / "renders").glob("*.png"))
     assert section["view"] == names[len(names) // 2]
@@ -22,7 +21,7 @@ def test_a_scene_shows_the_middle_view_of_every_method(small_results):
 
 
 def test_the_render_is_blue_where_the_scores_say_that_it_guesses(small_results):
-    cells = [c for c in finished_cells(small_results, read_all(small_results)) if c.record.scene == "turntable"]
+    cells = cells_of(small_results)
     section = scene_section("synthetic", "turntable", cells)
     for cell, method in zip(cells, section["methods"], strict=True):
         share = cell.read_views()[section["view"]]["barely_seen"]
@@ -35,7 +34,7 @@ def test_the_render_is_blue_where_the_scores_say_that_it_guesses(small_results):
 
 
 def test_masked_pixels_are_gray_and_named(masked_results):
-    cells = [c for c in finished_cells(masked_results, read_all(masked_results)) if c.record.scene == "turntable"]
+    cells = cells_of(masked_results)
     section = scene_section("synthetic", "turntable", cells)
     shares = cells[0].record.masked
     assert section["masked"].startswith(
@@ -54,6 +53,10 @@ def shown(uri: str) -> np.ndarray:
 
 
 def test_without_masks_nothing_is_said(small_results):
-    cells = [c for c in finished_cells(small_results, read_all(small_results)) if c.record.scene == "turntable"]
+    cells = cells_of(small_results)
     assert scene_section("synthetic", "turntable", cells)["masked"] == ""
     assert cells[0].record.masked == {"train": 0.0, "test": 0.0} and not (cells[0].folder / "masks").exists()
+
+
+def cells_of(experiment):
+    return [cell for cell in read_results(experiment).finished if cell.record.scene == "turntable"]

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from tdgbench.present.grid import GridCell
 from tdgbench.site.plot import BOTTOM, HEIGHT, LEFT, PSNR, RIGHT, TIME, TOP, WIDTH, plot
 from tdgbench.tables.measures import COLUMNS
 
@@ -18,8 +19,8 @@ def plotted(*points: tuple[float, float]) -> dict:
     """The plot of rows with a PSNR (dB) and a time (s)."""
     rows = []
     for psnr, seconds in points:
-        scores = [{"sort": ""} for _ in COLUMNS]
-        scores[PSNR], scores[TIME] = {"sort": psnr}, {"sort": seconds / 3600}
+        scores = [GridCell() for _ in COLUMNS]
+        scores[PSNR], scores[TIME] = GridCell(sort=psnr), GridCell(sort=seconds / 3600)
         rows.append(SimpleNamespace(scores=scores, column="tdg", pack=SimpleNamespace(name="a.zip")))
     return plot(rows)
 

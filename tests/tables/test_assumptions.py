@@ -1,6 +1,6 @@
 """What records state of their scenes' files, side by side."""
 
-from tdgbench.tables.assumptions import assumed_apart, assumed_rows, doubts_of
+from tdgbench.tables.assumptions import assumed_differences, assumed_rows, doubts_of
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show_tables
 from tests.helpers.records import record, write
@@ -24,13 +24,13 @@ def test_what_is_equal_is_said_once_and_what_is_not_with_its_cells():
 def test_differences_of_two_records_are_told_by_scene_and_name():
     a, b = record(assumed={"size": NATIVE, "depth": "16 bits"}), record(assumed={"size": ENLARGED, "depth": "16 bits"})
     doubted = record(assumed=a.assumed, doubts=["view007: far away; leave it out"])
-    assert [one.sentence for one in assumed_apart([(a, b), (a, b), (a, a)])] == [
+    assert [one.sentence for one in assumed_differences([(a, b), (a, b), (a, a)])] == [
         f"synthetic/orbit, size: {NATIVE} → {ENLARGED}"
     ]
-    assert [tuple(one) for one in assumed_apart([(a, doubted)])] == [
+    assert [tuple(one) for one in assumed_differences([(a, doubted)])] == [
         ("synthetic/orbit", "doubts", "none", "view007: far away; leave it out")
     ]
-    (unstated,) = assumed_apart([(record(), b), (record(), record())])
+    (unstated,) = assumed_differences([(record(), b), (record(), record())])
     assert unstated.sentence == "synthetic/orbit, assumptions: not stated → stated"
 
 

@@ -1,9 +1,9 @@
 import pytest
 
 from tdgbench.cells.cell_tables import write_views
-from tdgbench.cells.record import Failure, Record
+from tdgbench.cells.record import Record
 from tdgbench.scoring import METRICS
-from tdgbench.tables.cell import Cell, finished_cells
+from tdgbench.tables.cell import Cell
 
 
 def record(**fields):
@@ -12,15 +12,9 @@ def record(**fields):
     )
 
 
-def test_only_finished_cells_count(tmp_path):
-    failed = record(seed=1, status="failed", failure=Failure("train", "boom", ""))
-    cells = finished_cells(tmp_path, [record(), failed])
-    assert [cell.folder.name for cell in cells] == ["seed0"] and cells[0].log is None
-
-
 def test_views_have_the_names_of_their_files(tmp_path):
     """Which may look like numbers, or like nothing."""
-    (cell,) = finished_cells(tmp_path, [record()])
+    cell = Cell(tmp_path / "cell", record())
     cell.folder.mkdir(parents=True)
     names = ["001", "1e3", "NA", "=a"]
     write_views(cell.folder, {name: {**dict.fromkeys(METRICS), "psnr": 20.0 + i} for i, name in enumerate(names)})
@@ -31,7 +25,7 @@ def test_views_have_the_names_of_their_files(tmp_path):
 @pytest.mark.parametrize("text", ["", "iteration,seconds\n1,2\n", "iteration,seconds,smoothed_psnr\n", "psnr\n1\n"])
 def test_what_is_no_log_is_none(tmp_path, text):
     """Nor a table of views: `compare` and `claims` go on without it."""
-    (cell,) = finished_cells(tmp_path, [record()])
+    cell = Cell(tmp_path / "cell", record())
     cell.folder.mkdir(parents=True)
     for name in ("log.csv", "views.csv"):
         (cell.folder / name).write_text(text)
@@ -39,7 +33,7 @@ def test_what_is_no_log_is_none(tmp_path, text):
 
 
 def test_views_without_a_metric_have_none(tmp_path):
-    (cell,) = finished_cells(tmp_path, [record()])
+    cell = Cell(tmp_path / "cell", record())
     cell.folder.mkdir(parents=True)
     (cell.folder / "views.csv").write_text("view,psnr\na,1\n")
     assert cell.views["psnr"].tolist() == [1] and cell.views["depth_inconsistency"].isna().all()

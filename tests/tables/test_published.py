@@ -5,7 +5,6 @@ import pytest
 
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.registry import DATASETS, registered
-from tdgbench.tables.build import difference
 from tdgbench.tables.long_table import with_averages, with_bold
 from tdgbench.tables.measures import KEYS, OVERALL, PUBLISHED, digits
 from tdgbench.tables.published import (
@@ -16,6 +15,7 @@ from tdgbench.tables.published import (
     published_elsewhere,
     published_main,
 )
+from tdgbench.tables.verdicts import difference
 
 # The paper's marks that do not follow from its numbers: none at Ebike LPIPS, and TDg at the tie of Road Block SSIM.
 ODD_BOLD = {("Ebike", "lpips"), ("RoadBlock", "ssim")}

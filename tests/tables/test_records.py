@@ -16,7 +16,7 @@ from tdgbench.cells.record import Failure
 from tdgbench.scenes import Description
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.command import main
-from tdgbench.tables.records import read_results
+from tdgbench.tables.results import read_results
 from tdgbench.tables.show import show_tables
 from tests.helpers.records import write
 

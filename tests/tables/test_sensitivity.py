@@ -13,9 +13,8 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from skimage.transform import downscale_local_mean
 
 from tdgbench.cells.paths import RECORD_FILE
-from tdgbench.tables.cell import finished_cells
 from tdgbench.tables.command import main
-from tdgbench.tables.records import read_results
+from tdgbench.tables.results import read_results
 from tdgbench.tables.sensitivity import sensitivity
 from tests.helpers.records import write
 from tests.scoring.weights import random_state
@@ -194,4 +193,4 @@ def test_real_cells(small_results):
 
 
 def _cells(experiment):
-    return finished_cells(experiment, read_results(experiment).records)
+    return read_results(experiment).finished

@@ -7,9 +7,11 @@ from scipy import stats
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import read_all
 from tdgbench.tables.build import build_tables
+from tdgbench.tables.long_table import cell_rows
 from tdgbench.tables.measures import KEYS
 from tdgbench.tables.methods import paper_pair
 from tdgbench.tables.published import published_main
+from tdgbench.tables.results import read_results
 from tdgbench.tables.statistics import intervals, over_seeds, paired_tests, speed_ratios
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED
 from tests.helpers.records import published_as_records, write
@@ -24,7 +26,7 @@ def test_spread_over_seeds(tmp_path):
     for seed, (a, b) in enumerate([(20.0, 30.0), (22.0, 30.0), (21.0, 33.0)]):
         for scene, value in (("Truck", a), ("Dimsum", b)):
             write(tmp_path, scene=scene, seed=seed, scores={"psnr": value})
-    found = over_seeds(read_all(tmp_path), Plan()).set_index(KEYS)
+    found = over_seeds(cell_rows(read_all(tmp_path), Plan())).set_index(KEYS)
     psnr = found.xs("psnr", level="metric").reset_index().query("method == 'tdg'").set_index("scene")
     assert psnr.loc["Truck", "std"] == pytest.approx(1.0) and psnr.loc["Truck", "seeds"] == 3
     assert np.isnan(psnr.loc["Average", "std"]).all()  # other scenes of the data set are missing
@@ -35,12 +37,12 @@ def test_intervals_hold_what_the_samples_hold(tmp_path):
     rng = np.random.default_rng(1)
     for seed in range(3):
         with_views(write(tmp_path, scene="Truck", seed=seed), 20 + rng.normal(size=12))
-    found = intervals(read_all(tmp_path), tmp_path).set_index("metric")
+    cells = read_results(tmp_path).finished
+    found = intervals(cells).set_index("metric")
     row = found[found["scene"] == "Truck"].loc["psnr"]
     assert 19 < row["ci95_low"] < 20 < row["ci95_high"] < 21.2 and row["ci95_high"] - row["ci95_low"] > 0.2
     assert "lpips" not in found.index  # n/a in every view
-    again = intervals(read_all(tmp_path), tmp_path)
-    assert again.equals(intervals(read_all(tmp_path), tmp_path))
+    assert intervals(cells).equals(intervals(read_results(tmp_path).finished))
 
 
 def test_the_published_numbers_are_reproduced_by_themselves(tmp_path):

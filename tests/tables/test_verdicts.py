@@ -15,11 +15,11 @@ from tdgbench.tables.verdicts import (
     UNDECIDED,
     UNKNOWN,
     WORSE,
+    judge_published,
     judge_score,
     load_margins,
     seeds_interval,
     seeds_needed,
-    verdict,
     verdicts_in_words,
 )
 
@@ -44,7 +44,7 @@ NAN = float("nan")
     ],
 )
 def test_words(metric, ours, published, std, seeds, word):
-    found = verdict(metric, "Truck", ours, published, std, seeds)
+    found = judge_published(metric, "Truck", ours, published, std, seeds)
     assert found.verdict == word
     assert bool(found.seeds_needed) == bool(found.undecided_because) == (word == UNDECIDED)
 
@@ -61,7 +61,7 @@ def test_words(metric, ours, published, std, seeds, word):
     ],
 )
 def test_undecided_says_why(metric, ours, std, seeds, needed, why):
-    found = verdict(metric, "Truck", ours, 27.0, std, seeds)
+    found = judge_published(metric, "Truck", ours, 27.0, std, seeds)
     assert found.verdict == UNDECIDED and found.seeds_needed == needed and why in found.undecided_because
 
 

@@ -13,10 +13,10 @@ from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import Record, no_records
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
-from tdgbench.tables.cell import Cell, finished_cells
-from tdgbench.tables.long_table import scene_rows, with_averages, with_bold
+from tdgbench.tables.cell import Cell
+from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages, with_bold
 from tdgbench.tables.measures import AVERAGE, OVERALL
-from tdgbench.tables.records import read_results
+from tdgbench.tables.results import read_results
 
 HOLDS, FAILS, UNDECIDED = "holds", "fails", "undecided"
 
@@ -73,13 +73,13 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     """
     cells: list[Cell] = []
     for folder in experiments:
-        records = read_results(folder).records
-        if not records:
+        results = read_results(folder)
+        if not results.cells:
             raise no_records(folder)
-        cells += finished_cells(folder, (record for record in records if _is_plain(record)))
+        cells += [cell for cell in results.finished if _is_plain(cell.record)]
     chosen = as_published(cells)
     plan = Plan(methods=list(methods.paper_pair()) if chosen else [])
-    rows = scene_rows([replace(cell.record, variant="") for cell in chosen], plan)
+    rows = scene_rows(cell_rows([replace(cell.record, variant="") for cell in chosen], plan))
     return ClaimEvidence(with_bold(with_averages(rows)), None, False, tuple(cells), _lengths(chosen))
 
 

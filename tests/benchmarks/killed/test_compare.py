@@ -23,7 +23,7 @@ def two(small_results, tmp_path_factory):
             if "tdg/synthetic/turntable" not in path.as_posix():
                 shutil.rmtree(path.parent)
         (folder / "experiment.json").write_text("{}")
-        write_report(folder, build_tables(folder))
+        write_report(build_tables(folder))
     return both
 
 
@@ -43,7 +43,7 @@ def test_times_are_no_difference(pair):
     content = json.loads(record.read_text())
     content["seconds"]["train"] += 7
     record.write_text(json.dumps(content))
-    write_report(pair[1], build_tables(pair[1]))
+    write_report(build_tables(pair[1]))
     assert compare(*pair) == []
 
 

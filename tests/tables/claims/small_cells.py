@@ -50,6 +50,6 @@ def write_log(folder: Path, gain: float, iterations: int) -> None:
             "smoothed_psnr": psnr,
             "gaussians": 9,
             "loss_thermal": loss,
-        }  # fmt: skip
+        }
     )
     log.to_csv(folder / "log.csv", index=False)

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from tdgbench.report.figures import DPI, any_font, plain, save_figure
+from tdgbench.present.figures import DPI, any_font, plain, save_figure
 from tests.helpers.names import NAMES
 
 

@@ -1,4 +1,4 @@
-"""Tables of scores on the page."""
+"""Grids of scores: numbers, spreads, published numbers and verdicts beside them, and what the report says of them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from tdgbench.report.scores import difference_note, further_scores, legend, main_scores, published_section
+from tdgbench.report.scores import legend, published_section
 from tdgbench.tables.build import build_tables
+from tdgbench.tables.grids import difference_note, further_grid
 from tdgbench.tables.measures import MEASURES
 from tdgbench.text import duration
 from tests.helpers.records import write
@@ -17,30 +18,28 @@ from tests.helpers.records import write
 def test_further_scores_are_those_that_a_cell_has(tmp_path):
     write(tmp_path, scene="orbit", dataset="synthetic", scores={"depth_abs_rel": 0.25, "rgb_psnr": None})
     tables = build_tables(tmp_path)
-    found = further_scores(tables)
-    assert found["metrics"] == ["depth error ↓"]
-    assert [row["cells"][0]["text"] for row in found["rows"]] == ["0.250", "0.250"]  # the scene, and its average
-    assert main_scores(tables)["rows"][0]["head"] == ["synthetic", "orbit", "TDg"]
+    found = further_grid(tables.main)
+    assert found.columns == ["depth error ↓"]
+    assert [row.cells[0].text for row in found.rows] == ["0.250", "0.250"]  # the scene, and its average
+    assert tables.grid.rows[0].heads == ("synthetic", "orbit", "TDg")
     needs = {row["title"]: row["needs"] for row in legend(tables)}
     assert needs["depth error ↓"] == "true depth" and needs["PSNR, dB ↑"] == ""
     write(tmp_path / "plain", scene="orbit", dataset="synthetic")
-    assert further_scores(build_tables(tmp_path / "plain")) is None
+    assert further_grid(build_tables(tmp_path / "plain").main) is None
 
 
 def test_hours_are_times_for_readers_and_numbers_on_disk(tmp_path):
     for seed in (0, 1):
         write(tmp_path, "tdg", "Truck", seed=seed, seconds={"train": 3600.0 + 120 * seed})
     tables = build_tables(tmp_path)
-    table = main_scores(tables)
-    row = next(row for row in table["rows"] if row["head"][1:] == ["Truck", "TDg"])
-    cell = row["cells"][-1]
-    assert table["metrics"][-1] == "time, h:mm:ss ↓"
-    assert cell["text"] == "1:01:00 ± 0:01:25" and cell["sort"] == pytest.approx(3660 / 3600)
+    cell = next(row for row in tables.grid.rows if row.heads[1:] == ("Truck", "TDg")).cells[-1]
+    assert tables.grid.columns[-1] == "time, h:mm:ss ↓"
+    assert cell.text == "1:01:00 ± 0:01:25" and cell.sort == pytest.approx(3660 / 3600)
     (published,) = tables.difference.query("method == 'tdg' and scene == 'Truck' and metric == 'train_hours'")[
         "published"
     ]
-    assert cell["note"] == "+" + duration(3660 - 3600 * published)
-    assert cell["title"].startswith(f"published {duration(3600 * published)}: undecided")
+    assert cell.note == "+" + duration(3660 - 3600 * published)
+    assert cell.title.startswith(f"published {duration(3600 * published)}: undecided")
     stored = pd.read_csv(tmp_path / "tables" / "main.csv", keep_default_na=False)
     hours = stored.query("method == 'tdg' and metric == 'train_hours' and scene == 'Truck'")
     assert hours["value"].tolist() == ["1.016667"]

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tdgbench.bench.colours import in_colour
 from tdgbench.cells.folder import CellFolder
-from tdgbench.cells.paths import cell_folder_of
-from tdgbench.cells.record import Record
-from tdgbench.report.figures import plain, save_figure
-from tdgbench.report.views import ERROR, ERROR_RANGE, grayed, middle_view
+from tdgbench.present.colours import in_colour
+from tdgbench.present.figures import plain, save_figure
+from tdgbench.present.pictures import ERROR, ERROR_RANGE, grayed, middle_view
 
 MOST_BESIDE = 4  # methods whose errors are beside their renders
 TITLE: dict[str, Any] = {"fontsize": 8, "y": 1.0}  # with a fixed height, matplotlib searches for none
 
 
-def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
-    """Draw renders of an experiment's finished cells; False if there are none. A picture that is unusable is n/a."""
-    done = [r for r in records if r.status == "ok"]
-    scenes = list(dict.fromkeys((r.dataset, r.scene, r.split) for r in done))
-    methods = list(dict.fromkeys(r.method for r in done))
-    if not done:
+def draw_strip(cells: Sequence[CellFolder], target: Path) -> bool:
+    """Draw renders of finished cells; False if there are none. A picture that is unusable is n/a."""
+    if not cells:
         return False
+    scenes = list(dict.fromkeys((c.record.dataset, c.record.scene, c.record.split) for c in cells))
+    methods = list(dict.fromkeys(c.record.method for c in cells))
+    first: dict[tuple[str, ...], CellFolder] = {}
+    for cell in cells:
+        first.setdefault((cell.record.dataset, cell.record.scene, cell.record.split, cell.record.method), cell)
     below = len(methods) > MOST_BESIDE  # errors have a row of their own
     rows, columns = len(scenes) * (1 + below), 1 + len(methods) * (2 - below)
     figure = Figure(figsize=(2.4 * columns, 1.95 * rows))
@@ -39,31 +39,30 @@ def draw_strip(records: list[Record], experiment: Path, target: Path) -> bool:
         axis.set_axis_off()
     for place, row, errors in zip(scenes, axes[:: 1 + below], axes[below :: 1 + below], strict=True):
         for m, method in enumerate(methods):
-            group = [r for r in done if (r.dataset, r.scene, r.split, r.method) == (*place, method)]
-            if group:
+            if (*place, method) in first:
                 axes_of_cell = row[0], row[1 + m], errors[1 + m + (0 if below else len(methods))]
-                draw_cell(axes_of_cell, group[0], cell_folder_of(experiment, group[0]), place_name(place, scenes))
+                _draw_cell(axes_of_cell, first[*place, method], place_name(place, scenes))
     target.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, target)
     return True
 
 
-def draw_cell(axes: tuple[Axes, Axes, Axes], record: Record, folder: Path, name: str) -> None:
+def _draw_cell(axes: tuple[Axes, Axes, Axes], cell: CellFolder, name: str) -> None:
     """Draw ground truth, render and error of a cell's middle test view; n/a where its pictures cannot be read."""
     on_truth, on_render, on_error = axes
-    psnr = record.scores.get("psnr")
-    title = f"{plain(record.method)} {'n/a' if psnr is None else f'{psnr:.1f} dB'}"
+    method, psnr = plain(cell.record.method), cell.record.scores.get("psnr")
+    title = f"{method} {'n/a' if psnr is None else f'{psnr:.1f} dB'}"
     on_render.set_title(title, **TITLE)
     try:
-        stored = CellFolder(folder, record).pictures(middle_view([folder]))
+        stored = cell.pictures(middle_view([cell]))
     except (OSError, ValueError):
         on_render.set_title(f"{title}: picture n/a", **TITLE)
         return
     on_truth.imshow(grayed(in_colour(stored.truth), stored.valid))
     on_truth.set_title(f"{plain(name)}: ground truth", **TITLE)
     on_render.imshow(in_colour(stored.render))
-    on_error.imshow(stored.error, vmin=0, vmax=ERROR_RANGE, cmap=ERROR)
-    on_error.set_title(f"{plain(record.method)} error (0 to {ERROR_RANGE})", **TITLE)
+    on_error.imshow(stored.error, vmin=0, vmax=ERROR_RANGE, cmap=ERROR)  # masked pixels are white
+    on_error.set_title(f"{method} error (0 to {ERROR_RANGE})", **TITLE)
 
 
 def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str]]) -> str:

@@ -1,0 +1,1 @@
+"""How numbers and pictures of finished cells look: grids, colours, figures, pages."""

@@ -1,0 +1,50 @@
+"""A table of numbers as readers see it: LaTeX, terminal, report, comparison and site render one grid."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+
+class GridCell(NamedTuple):
+    """One number of a grid.
+
+    text: with the standard deviation, if it has one; mean: without. value: NaN for n/a. sort: number or text to sort
+    by, empty for n/a. title: what a pointer shows. note: ours − published, with its verdict. published: the published
+    number and its verdict, in words.
+    """
+
+    text: str = "n/a"
+    mean: str = "n/a"
+    value: float = math.nan
+    sort: float | str = ""
+    bold: bool = False
+    title: str = ""
+    note: str = ""
+    verdict: str = ""
+    published: str = ""
+
+
+class GridRow(NamedTuple):
+    """Numbers of one place. heads: the names that are shown. place: the names on disk, as the grid's `heads` order.
+
+    is_marked: whether the images are in a palette.
+    """
+
+    heads: tuple[str, ...]
+    cells: tuple[GridCell, ...]
+    place: tuple[str, ...] = ()
+    group: str = ""
+    is_marked: bool = False
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Rows of numbers. heads: titles of the rows' heads. columns: titles of the numbers. notes: lines below."""
+
+    heads: Sequence[str]
+    columns: Sequence[str]
+    rows: list[GridRow]
+    notes: Sequence[str] = field(default_factory=list)

@@ -1,0 +1,115 @@
+"""Grids of the main table and of the ablation: our numbers, with published ones and verdicts beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from tdgbench.present.grid import Grid, GridCell, GridRow
+from tdgbench.tables import methods
+from tdgbench.tables.long_table import initial_points, protocol_notes
+from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, HOURS, MEASURES, OVERALL, as_text, digits
+from tdgbench.tables.palette import is_marked, palette_notes, with_mark
+from tdgbench.tables.verdicts import UNDECIDED
+
+SCENE_KEYS = ["dataset", "scene", "method"]
+ABLATION_KEYS = ["method", "init", "metric"]
+
+
+def main_grid(main: pd.DataFrame, difference: pd.DataFrame | None, metrics: Sequence[str] = COLUMNS) -> Grid:
+    """Return the rows of a main table in its order, methods of a scene together; their `place` is of SCENE_KEYS."""
+    published = _by_keys(difference, [*SCENE_KEYS, "metric"])
+    rows = []
+    for (dataset, scene), of_scene in main.groupby(["dataset", "scene"], sort=False):
+        for method, group in of_scene.groupby("method", sort=False):
+            place = (str(dataset), str(scene), str(method))
+            heads = (place[0], with_mark(place[1], group), methods.label(place[2]))
+            cells = _cells(group, place, metrics, published)
+            rows.append(GridRow(heads, cells, place, str(group["group"].iloc[0]), is_marked(group)))
+    notes = [*protocol_notes(main), *palette_notes(main)]
+    return Grid(["data set", "scene", "method"], [MEASURES[metric].title for metric in metrics], rows, notes)
+
+
+def further_grid(main: pd.DataFrame) -> Grid | None:
+    """Return the other measures that a cell of a main table has, in the same form; None without any."""
+    known = set(main.loc[main["value"].notna(), "metric"])
+    metrics = [metric for metric in EXTRA if metric in known]
+    if not metrics:
+        return None
+    grid = main_grid(main, None, metrics)
+    return Grid(grid.heads, grid.columns, grid.rows, palette_notes(main))
+
+
+def ablation_grid(main: pd.DataFrame, difference: pd.DataFrame | None) -> Grid:
+    """Return the rows of an ablation by method and initial points, which are their `place`."""
+    published, rows = _by_keys(difference, ABLATION_KEYS), []
+    for (method, init), group in main.assign(scene=OVERALL).groupby(["method", "init"], sort=False):
+        place = (str(method), str(init))
+        heads = (with_mark(methods.label(place[0]), group), place[1])
+        rows.append(GridRow(heads, _cells(group, place, ABLATION, published), place, "", is_marked(group)))
+    notes = [*initial_points(main), *palette_notes(main)]
+    return Grid(["method", "initial points"], [MEASURES[metric].title for metric in ABLATION], rows, notes)
+
+
+def _by_keys(difference: pd.DataFrame | None, keys: list[str]) -> dict[tuple[str, ...], Any]:
+    """Return the rows of difference.csv by their keys."""
+    if difference is None:
+        return {}
+    return dict(zip(difference[keys].itertuples(index=False, name=None), difference.itertuples(), strict=True))
+
+
+def _cells(
+    group: pd.DataFrame, place: tuple[str, ...], metrics: Sequence[str], published: dict[tuple[str, ...], Any]
+) -> tuple[GridCell, ...]:
+    """Return the numbers of one row of a grid. group: its rows of main.csv. published: `_by_keys`."""
+    by_metric = {row.metric: row for row in group.itertuples()}
+    return tuple(_cell(by_metric[metric], published.get((*place, metric))) for metric in metrics)
+
+
+def _cell(row: Any, published: Any) -> GridCell:
+    """Return a number. row: of main.csv. published: row of difference.csv, or None where nothing is published."""
+    beside = published_beside(published, row.scene)
+    if np.isnan(row.value):
+        return GridCell(title=row.reason, published=beside)
+    mean = text = as_text(row.metric, row.value, row.scene)
+    if not np.isnan(row.std):
+        text += f" ± {as_text(row.metric, row.std, row.scene)}"
+    ends = [getattr(row, end, np.nan) for end in ("ci95_low", "ci95_high")]
+    span = " to ".join(as_text(row.metric, end, form=".4g") for end in ends if not np.isnan(end))
+    interval = f"95 % interval over seeds and views: {span}" if span else ""
+    note, details = difference_note(published, row.scene)
+    title = "; ".join(part for part in (details, interval) if part)
+    verdict = published.verdict if note else ""
+    return GridCell(text, mean, row.value, row.value, bool(row.bold), title, note, verdict, beside)
+
+
+def difference_note(published: Any, scene: str) -> tuple[str, str]:
+    """Return a number's note (ours − published) and its tooltip; both empty without a published number or one of ours.
+
+    published: a row of difference.csv, or None where nothing is published.
+    """
+    if published is None or np.isnan(published.difference):
+        return "", ""
+    metric = published.metric
+    details = [f"published {as_text(metric, published.published, scene)}: {published.verdict}"]
+    if published.verdict == UNDECIDED:
+        details[0] += f", {published.undecided_because}; seeds needed: {published.seeds_needed}"
+    if not np.isnan(published.ci90_low):
+        interval = f"{published.ci90_low:.4g} to {published.ci90_high:.4g}"
+        details.append(f"90 % interval of our mean: {interval}, margin {published.margin:g}")
+    if published.papers > 1:
+        ends = dict.fromkeys(as_text(metric, end, scene) for end in (published.others_low, published.others_high))
+        details.append(f"other papers: {' to '.join(ends)}")
+    return as_text(metric, published.difference, scene, f"+.{digits(metric, scene)}f"), "; ".join(details)
+
+
+def published_beside(published: Any, scene: str) -> str:
+    """Return the published number beside one of ours, with its verdict; empty without."""
+    if published is None or np.isnan(published.published):
+        return ""
+    text = f"published {as_text(published.metric, published.published, scene)}"
+    is_judged = published.metric != HOURS.name and not np.isnan(published.difference)
+    return f"{text}, {published.verdict}" if is_judged else text

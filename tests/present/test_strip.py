@@ -1,0 +1,56 @@
+"""The picture of an experiment."""
+
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tdgbench.cells.folder import CellFolder
+from tdgbench.present.strip import draw_strip
+from tdgbench.tables.results import read_results
+from tests.helpers.records import record
+
+
+def drawn_cell(folder: Path, mode="L", **fields) -> CellFolder:
+    """A cell with black pictures of one view."""
+    for sub in ("renders", "targets"):
+        (folder / sub).mkdir(parents=True)
+        Image.new(mode, (40, 30)).save(folder / sub / "v.png")
+    return CellFolder(folder, record(**fields))
+
+
+def test_a_picture_that_is_unusable_is_na(tmp_path, small_results):
+    experiment = Path(shutil.copytree(small_results, tmp_path / "single"))
+    for path in experiment.rglob("msmg/**/renders/*.png"):
+        path.write_bytes(b"\x89PNG")
+    shutil.rmtree(experiment / "cells" / "tdg" / "synthetic" / "orbit" / "colmap" / "seed0" / "targets")
+    assert draw_strip(read_results(experiment).finished, tmp_path / "strip.png")
+    with Image.open(tmp_path / "strip.png") as picture:
+        assert picture.width > picture.height > 100
+    assert not draw_strip([], tmp_path / "strip.png")
+
+
+@pytest.mark.parametrize("name", ["$x^2$ $\\frac{", "_a", "a\nb", "n" * 200, "🔥"], ids=ascii)
+def test_any_name_is_drawn(tmp_path, name):
+    cell = drawn_cell(tmp_path / "cell", scores={"psnr": None})
+    cell.record.method = cell.record.scene = name
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert draw_strip([cell], tmp_path / "strip.png")
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB"])
+def test_masked_pixels_are_not_drawn(tmp_path, mode):
+    cell = drawn_cell(tmp_path / "cell", mode, scores={"psnr": 12.0})
+    assert draw_strip([cell], tmp_path / "whole.png")
+    (cell.folder / "masks").mkdir()
+    mask = np.uint8(255) * (np.arange(30 * 40).reshape(30, 40) % 40 < 20)
+    Image.fromarray(mask).save(cell.folder / "masks" / "v.png")
+    assert draw_strip([cell], tmp_path / "masked.png")
+    whole, masked = (np.asarray(Image.open(tmp_path / f"{name}.png").convert("L")) for name in ("whole", "masked"))
+    assert whole.shape == masked.shape
+    dark, left = (whole < 40).sum(), (masked < 40).sum()
+    assert 0.6 * dark < left < 0.75 * dark  # of three black panels, two are half white
