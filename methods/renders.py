@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -49,7 +50,7 @@ class Run(BaseModel):
     views: list[Text] | None = None  # test views in the order of the files, of layouts that number them
 
 
-class Layout(NamedTuple):
+class FileNames(NamedTuple):
     """Names of the files in a folder."""
 
     renders: str  # regular expression of the renders; its group `view` is the view's name, or `number` its place
@@ -58,16 +59,18 @@ class Layout(NamedTuple):
 
 
 LAYOUTS = {
-    "views": Layout(r"(?P<view>.+)\.(npy|png)", r"(?!)"),
+    "views": FileNames(r"(?P<view>.+)\.(npy|png)", r"(?!)"),
     # graphdeco-inria/gaussian-splatting, render.py, and all programs that follow it
-    "3dgs": Layout(r"(?P<number>\d{5})\.(png|npy)", r"(?!)"),
+    "3dgs": FileNames(r"(?P<number>\d{5})\.(png|npy)", r"(?!)"),
     # Schindler-EPFL-Lab/thermo-nerf c7ee7bec, thermo_nerf/evaluator/evaluator.py, save_images and save_metrics
-    "thermonerf": Layout(
+    "thermonerf": FileNames(
         r"thermal_(?P<number>\d{5})\.(jpg|npy)",
         r"(img|thermal_combined|depth|accumulation)_\d{5}\.jpg|metrics\.json|psnr|ssim|lpips",
     ),
     # mert-o/ThermalNeRFs d822bd10, nerf/utils.py, lines 796 to 885; ep: the epoch, which must be one
-    "oezer": Layout(r"(?P<run>.+_ep\d{4})_(?P<number>\d{4})_temp\.npy", r".+_ep\d{4}_\d{4}_\w.*\.(png|npy)", first=1),
+    "oezer": FileNames(
+        r"(?P<run>.+_ep\d{4})_(?P<number>\d{4})_temp\.npy", r".+_ep\d{4}_\d{4}_\w.*\.(png|npy)", first=1
+    ),
 }
 
 
@@ -80,7 +83,7 @@ class Images(Part):
         self._read = read
         self._images: dict[str, torch.Tensor] | None = None  # a stored cell has its own, and no file is read for it
 
-    def of(self, view: str) -> torch.Tensor:
+    def for_view(self, view: str) -> torch.Tensor:
         """Return the render of a view, float32. Raises NotApplicableError for one that is no test view."""
         image = self.state_dict().get(view)
         if image is None:
@@ -120,7 +123,7 @@ class Renders(Method):
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
-        image = self.images.of(self._names.get(frame.index, ""))
+        image = self.images.for_view(self._names.get(frame.index, ""))
         return Render(image, None, torch.zeros(image.shape[:2]))
 
     def _read(self, scene: Scene) -> dict[str, torch.Tensor]:
@@ -132,35 +135,38 @@ class Renders(Method):
     def _files(self, scene: Scene, run: Run) -> dict[str, Path]:
         """Return the file of each test view. Raises SceneError for files and views without each other."""
         views = [view.name for view in scene.test]
-        numbered = "<number>" in self.layout.renders
-        if numbered and sorted(run.views or ()) != sorted(views):
+        if "<number>" in self.layout.renders and sorted(run.views or ()) != sorted(views):
             raise SceneError(
                 f"{self.folder / RUN}: views must name the {len(views)} test views of {scene.name} in the order of the "
                 f"files, which have numbers: {_some(set(views) ^ set(run.views or ())) or 'a name is there twice'}"
             )
-        order, found, unknown, runs = run.views or [], dict[str, Path](), list[str](), set[str]()
+        by_view, unknown, runs = defaultdict[str, list[Path]](list), list[str](), set[str]()
         for path in listed(self.folder):
             match = re.fullmatch(self.layout.renders, path.name)
             if match is not None:
-                groups = match.groupdict()
-                place = int(groups.get("number", 0)) - self.layout.first
-                view = groups.get("view") or (order[place] if 0 <= place < len(order) else "")
-                runs.add(groups.get("run", ""))
-                if view in views and view not in found:
-                    found[view] = path
-                    continue
-                if view in found and len(runs) == 1:
-                    raise SceneError(f"{path} and {found[view].name} are both of view {view}; keep one of them")
-            if path.name != RUN and (match or not re.fullmatch(self.layout.others, path.name)):
+                runs.add(match.groupdict().get("run", ""))
+                by_view[self._view_of(match, run)].append(path)
+            elif path.name != RUN and not re.fullmatch(self.layout.others, path.name):
                 unknown.append(path.name)
         if len(runs) > 1:
             raise SceneError(f"{self.folder} has renders of several epochs ({_some(runs)}); keep those of one")
-        missing = set(views) - found.keys()
+        for view in views:
+            if len(by_view[view]) > 1:
+                first, second = by_view[view][:2]
+                raise SceneError(f"{second} and {first.name} are both of view {view}; keep one of them")
+        missing = {view for view in views if not by_view[view]}
+        unknown += [path.name for view in by_view.keys() - set(views) for path in by_view[view]]
         if missing or unknown:
             problems = [f"test views without a file: {_some(missing)}"] * bool(missing)
             problems += [f"files of no test view of {scene.name}: {_some(unknown)}"] * bool(unknown)
             raise SceneError(f"{self.folder}: {'; '.join(problems)}; there must be one file per test view")
-        return found
+        return {view: path for view, (path,) in by_view.items()}  # in the order of the files, as they are hashed
+
+    def _view_of(self, match: re.Match[str], run: Run) -> str:
+        """Return the view that a file's name states, by its name or its number; empty for a number of no view."""
+        groups, order = match.groupdict(), run.views or []
+        place = int(groups.get("number", 0)) - self.layout.first
+        return groups.get("view") or (order[place] if 0 <= place < len(order) else "")
 
 
 def read_run(path: Path, scene: Scene) -> Run:

@@ -17,6 +17,7 @@ from tdgbench.files import MB, in_mb, opened
 
 MOST_PICKLE = 16 * MB  # of the names and shapes of a file's tensors
 NAMED = ("collections OrderedDict", "torch._utils _rebuild_tensor_v2", "torch._utils _rebuild_parameter")
+OF_OTHERS = ("STACK_GLOBAL", "INST", "OBJ", "NEWOBJ", "NEWOBJ_EX", "EXT1", "EXT2", "EXT4")  # torch writes none of these
 PLAIN = (str, int, float, bool, type(None))
 
 
@@ -43,15 +44,7 @@ def _checked_size(file: BinaryIO) -> int:
     size = file.seek(0, 2)
     try:
         with zipfile.ZipFile(file) as archive:
-            members = archive.infolist()
-            pickles = [one for one in members if one.filename.rsplit("/", 1)[-1] == "data.pkl"]
-            if any(one.compress_type != zipfile.ZIP_STORED for one in members):
-                raise ValueError("it is compressed, as torch compresses nothing")
-            if sum(one.file_size for one in members) > size:
-                raise ValueError(f"it states more than its {in_mb(size)}")
-            if len(pickles) != 1 or pickles[0].file_size > MOST_PICKLE:
-                raise ValueError("it is no file of torch.save")
-            pickled = archive.read(pickles[0])
+            pickled = archive.read(_checked_pickle(archive.infolist(), size))
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError) as error:
         raise ValueError(f"it is no file of torch.save, or damaged: {error}") from error
     for opcode, argument, _ in pickletools.genops(pickled):
@@ -59,9 +52,21 @@ def _checked_size(file: BinaryIO) -> int:
         is_storage = named.startswith("torch ") and named.endswith("Storage")
         if opcode.name == "GLOBAL" and not is_storage and named not in NAMED:
             raise ValueError(f"it names {named.replace(' ', '.')}, which is neither a tensor nor a plain value")
-        if opcode.name in ("STACK_GLOBAL", "INST", "OBJ", "NEWOBJ", "NEWOBJ_EX", "EXT1", "EXT2", "EXT4"):
+        if opcode.name in OF_OTHERS:
             raise ValueError(f"it is not written by torch.save ({opcode.name})")
     return size
+
+
+def _checked_pickle(members: list[zipfile.ZipInfo], size: int) -> zipfile.ZipInfo:
+    """Return the member of an archive of `size` bytes that names its tensors. Raises ValueError for other archives."""
+    if any(member.compress_type != zipfile.ZIP_STORED for member in members):
+        raise ValueError("it is compressed, as torch compresses nothing")
+    if sum(member.file_size for member in members) > size:
+        raise ValueError(f"it states more than its {in_mb(size)}")
+    pickles = [member for member in members if member.filename.rsplit("/", 1)[-1] == "data.pkl"]
+    if len(pickles) != 1 or pickles[0].file_size > MOST_PICKLE:
+        raise ValueError("it is no file of torch.save")
+    return pickles[0]
 
 
 def _check_values(content: Any, size: int) -> None:

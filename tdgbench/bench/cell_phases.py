@@ -7,29 +7,29 @@ import shutil
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
-from tdgbench.bench.assumed import state_assumptions, state_values
-from tdgbench.bench.backend_check.choose import auto, training_backend
+from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.environment import SAME_BYTES, code_version
 from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.record_of_run import describe_scene, describe_training
 from tdgbench.bench.scores import render_views, score_training_views, write_renders
-from tdgbench.bench.setup import Facts, SetupObserver, Training, loader_of, set_up
+from tdgbench.bench.setup import SetupObserver, Training, loader_of, set_up
 from tdgbench.cells.cameras import write_cameras
 from tdgbench.cells.cell_tables import write_log, write_views
 from tdgbench.cells.folder import hashes_below
-from tdgbench.cells.ground_truth import masked_share, truth_hashes
+from tdgbench.cells.ground_truth import truth_hashes
 from tdgbench.cells.key import as_json, cell_key, relevant_config
 from tdgbench.cells.paths import cell_folder_of, files_of, prior_cache, short_name
 from tdgbench.cells.protocol import protocol_of
 from tdgbench.cells.read_files import MOST_PIXELS
-from tdgbench.cells.record import MadeElsewhere, PartReport, Record, SkipRecord
+from tdgbench.cells.record import MadeElsewhere, PartReport, Record
 from tdgbench.cells.stored_parts import write_parts
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene, SceneError
@@ -43,8 +43,7 @@ from tdgbench.training.context import training_device
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method
 from tdgbench.training.part import TrainingError
-from tdgbench.training.skips import Finished, Skips, account
-from tdgbench.training.splat_model import SplatModel
+from tdgbench.training.skips import Skips
 from tdgbench.training.trainer import Trainer
 
 SLOW = 1800  # seconds of networks in a training, of which the terminal warns
@@ -95,7 +94,7 @@ class CellRun(SetupObserver):
     def count(self, done: int, total: int) -> None:
         self.progress.count(done, total)
 
-    def note(self, field: str, facts: Facts, notes: Sequence[str] = ()) -> None:
+    def note(self, field: str, facts: dict[str, Any], notes: Sequence[str] = ()) -> None:
         setattr(self.record, field, {**(getattr(self.record, field) or {}), **facts})
         self.record.notes += notes
 
@@ -140,7 +139,7 @@ class CellRun(SetupObserver):
             self.progress.start(len(scene.train))
         scorer: Scorer = instantiate(self.cfg.metrics)
         self.record.backend = training_backend(self.cfg.backend.name)
-        self._describe_scene(scene, scorer)
+        describe_scene(self.record, scene, scorer, self.cfg.backend.name)
         priors = self._prior_cache()
         ready = set_up(self.cfg, scene, method=cell.method, skips=cell.skips, prior_cache=priors, observer=self)
         span, is_gray = ready.scored.temperature, ready.scored.channels == 1
@@ -158,9 +157,8 @@ class CellRun(SetupObserver):
             except TrainingError:
                 self._discard(checkpoint)  # training from it would end at the same iteration
                 raise
-        trained = TrainedCell(*ready, log, checkpoint, scorer)
-        self._describe_training(trained, cell.skips)
-        return trained
+        describe_training(self.record, ready, log, cell.skips, checkpoint.notes)
+        return TrainedCell(*ready, log, checkpoint, scorer)
 
     def _warn_if_slow(self, trainer: Trainer) -> None:
         """Say before a long training on the CPU how long its networks alone will take."""
@@ -242,38 +240,6 @@ class CellRun(SetupObserver):
             return f"{scene.fingerprint}-{self.record.made_elsewhere['files']}"
         files = instantiate(self.cfg.prior.estimator).identity(scene).get("files") if needs_prior else None
         return scene.fingerprint if files is None else f"{scene.fingerprint}-{files}"
-
-    def _describe_scene(self, scene: Scene, scorer: Scorer) -> None:
-        """Put facts about the scene, its metrics and its backend into the record."""
-        record = self.record
-        record.split, record.convention, record.notes = scene.split, scorer.convention, list(scene.notes)
-        state_assumptions(record, scene)
-        record.channels = scene.channels  # type: ignore[assignment]
-        record.views = {"train": len(scene.train), "test": len(scene.test)}
-        if self.cfg.backend.name == "auto" and auto().line:
-            record.notes.append(f"backend: {auto().line}")
-
-    def _describe_training(self, trained: TrainedCell, skips: Skips) -> None:
-        """Put facts about the finished training into the record."""
-        record, trainer, scene, log = self.record, trained.trainer, trained.scene, trained.log
-        record.masked = {"train": masked_share(scene.train), "test": masked_share(scene.test)}
-        state_values(record, scene)
-        record.resumed = log.resumed
-        record.notes += [*trained.checkpoint.notes, *trainer.method.notes]
-        record.parts = cast(dict[str, PartReport], trainer.reports())
-        if record.made_elsewhere is not None:
-            record.seconds.pop("train")
-            record.missing = dict.fromkeys(
-                ["train_hours"] if record.gaussians else ["train_hours", "gaussians"], record.made_elsewhere["summary"]
-            )
-            return
-        record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
-        record.train_processor_seconds = round(log.processor_seconds, 3)
-        work = [part.work for part in trainer.all_parts().values() if isinstance(part, SplatModel)]
-        curricula = [(one, it.budget.iterations) for it in trainer.contexts for one in it.curricula.values()]
-        budget, method = trainer.whole_context.budget, trainer.method
-        finished = Finished(scene, method.name, "rgb" in method.modalities, budget, log.iterations, curricula, work)
-        record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(skips, finished)]
 
     @property
     def _running(self) -> Path:

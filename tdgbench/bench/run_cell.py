@@ -80,13 +80,9 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
     run.is_locked = True
     finish_replacement(run.folder)
     existing = readable_record(run.folder)
-    skipped = None if existing is None else _outcome_without_run(existing, record, cfg)
-    if skipped is None and cfg.overwrite != "always" and stored.restore(run.folder, record, existing):
-        skipped = Outcome("kept", record.title, "restored: its settings are those of an earlier result")
-    if skipped is not None:
-        if skipped.status == "kept" and existing is not None and existing.key == record.key:
-            run.discard_checkpoint()  # a run may have been ended between its result and this
-        return replace(skipped, message="; ".join(filter(None, [skipped.message, *run.remarks])))
+    kept = _kept_outcome(run, existing)
+    if kept is not None:
+        return kept
     on_gpu = training_device(training_backend(cfg.backend.name)).type == "cuda"
     if on_gpu:
         torch.cuda.set_device(held.enter_context(exclusive_gpu(visible_gpus())))
@@ -99,6 +95,22 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
     remarks = [f"run again, changed: {'; '.join(changes)}"] if changes else []
     remarks += [f"resumed after iteration {record.resumed[-1]}"] if record.resumed else []
     return finished(record, "; ".join([*remarks, *run.remarks]))
+
+
+def _kept_outcome(run: CellRun, existing: Record | None) -> Outcome | None:
+    """Return the outcome of a cell whose result is there, or hidden by a failure; None if it has to run.
+
+    existing: the record in its folder.
+    """
+    cfg, record = run.cfg, run.record
+    outcome = None if existing is None else _outcome_without_run(existing, record, cfg)
+    if outcome is None and cfg.overwrite != "always" and stored.restore(run.folder, record, existing):
+        outcome = Outcome("kept", record.title, "restored: its settings are those of an earlier result")
+    if outcome is None:
+        return None
+    if outcome.status == "kept" and existing is not None and existing.key == record.key:
+        run.discard_checkpoint()  # a run may have been ended between its result and this
+    return replace(outcome, message="; ".join(filter(None, [outcome.message, *run.remarks])))
 
 
 def _keep_failure(error: BaseException, run: CellRun | None) -> str:

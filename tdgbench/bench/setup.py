@@ -51,7 +51,7 @@ class SetupObserver:
     def count(self, done: int, total: int) -> None:
         """Called after each of the phase's views."""
 
-    def note(self, field: str, facts: Facts, notes: Sequence[str] = ()) -> None:
+    def note(self, field: str, facts: dict[str, Any], notes: Sequence[str] = ()) -> None:
         """Called with facts for the record once they are known.
 
         field: `thermal_camera` (whose parts are `estimated` and `rig`), `prior` or `init_points`.
@@ -74,44 +74,29 @@ def set_up(
     of estimated priors, by default they are estimated again. compiles: compile the kernels now, so that training does
     not pay for it.
     """
-    observer = observer or SetupObserver()
-    skips = skips or Skips()
-    budget = instantiate(cfg.budget)
+    observer, skips = observer or SetupObserver(), skips or Skips()
+    budget, options = instantiate(cfg.budget), instantiate(cfg.thermal_camera)
     method = instantiate(cfg.method.method) if method is None else method
     method.name = str(cfg.method.name)
     with observer.phase("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
-    thermal_camera: ThermalCameraOptions = instantiate(cfg.thermal_camera)
-    if not method.trains and (thermal_camera.estimate or thermal_camera.rig):
-        raise SceneError(
-            f"thermal_camera= changes what is trained on, and {method.name} does not train; use thermal_camera=ideal"
-        )
-    scored = scene
-    scene, response = _correct_thermal_camera(scene, thermal_camera, observer)
-    priors = {}
-    if method.needs_prior:
-        priors = _estimate_priors(cfg, scene, skips, prior_cache, observer)
+    ideal, response = _correct_thermal_camera(scene, method, options, observer)
+    priors = _estimate_priors(cfg, ideal, skips, prior_cache, observer) if method.needs_prior else {}
     backend = training_backend(cfg.backend.name)
     with observer.phase("init"):
         init: InitialPoints = instantiate(cfg.init.points)
-        cloud = init.points(scene)
-        context = Context(scene, cloud, priors, budget, backend, int(cfg.seed), skips)
-        observer.note("init_points", init.describe(scene, cloud))
+        cloud = init.points(ideal)
+        context = Context(ideal, cloud, priors, budget, backend, int(cfg.seed), skips)
+        observer.note("init_points", init.describe(ideal, cloud))
     if compiles and method.trains:
         with observer.phase("compile"):
-            channels = {MODALITIES[modality].channels(scene) for modality in method.modalities}
-            masked = any(view.valid is not None for view in scene.train)
+            channels = {MODALITIES[modality].channels(ideal) for modality in method.modalities}
+            masked = any(view.valid is not None for view in ideal.train)
             compile_kernels(channels, budget, backend, depth=method.needs_prior, masked=masked)
-    if thermal_camera.rig == "auto":
-        with observer.phase("rig"):
-            trial = try_rig(method, context)
-        learnt = "" if trial.pays else "not "
-        note = f"thermal camera: the rig is {learnt}learnt: {trial.reason}"
-        observer.note("thermal_camera", {"rig": asdict(trial)}, [note])
-    context.learns_rig = trial.pays if thermal_camera.rig == "auto" else thermal_camera.rig
+    context.learns_rig = _learns_rig(options, method, context, observer)
     with observer.phase("init"):
         trainer = Trainer(method, context)
-    return Training(trainer, scored, response)
+    return Training(trainer, scene, response)
 
 
 def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
@@ -151,26 +136,42 @@ def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
 
 
 def _correct_thermal_camera(
-    scene: Scene, options: ThermalCameraOptions, observer: SetupObserver
+    scene: Scene, method: Method, options: ThermalCameraOptions, observer: SetupObserver
 ) -> tuple[Scene, ImageResponse]:
     """Return the scene as an ideal thermal camera would show it, and the response that renders pass through.
 
-    Where the camera cannot be estimated, images stay as they are.
+    Where the camera cannot be estimated, images stay as they are. Raises SceneError for options of a method that does
+    not train.
     """
+    if not method.trains and (options.estimate or options.rig):
+        raise SceneError(
+            f"thermal_camera= changes what is trained on, and {method.name} does not train; use thermal_camera=ideal"
+        )
     if not options.estimate:
         return scene, IDEAL
     with observer.phase("thermal_camera"):
         estimate, before, response = estimate_camera(scene), len(scene.notes), IDEAL
         if isinstance(estimate, Unknown):
-            facts: Facts = {"unknown": estimate.reason}
+            facts: dict[str, Any] = {"unknown": estimate.reason}
             notes = [f"images stay as they are: {estimate.reason}"]
         else:
             scene, response = corrected(scene, estimate)
-            facts, notes = _estimated(estimate), list(scene.notes[before:])
+            facts, notes = _as_recorded(estimate), list(scene.notes[before:])
     if response != IDEAL:
         facts["response"] = response.as_json()
     observer.note("thermal_camera", {"estimated": facts}, [f"thermal camera: {note}" for note in notes])
     return scene, response
+
+
+def _learns_rig(options: ThermalCameraOptions, method: Method, context: Context, observer: SetupObserver) -> bool:
+    """Return whether the pose and lens of the thermal camera are learnt; of `auto`, a trial decides."""
+    if options.rig != "auto":
+        return options.rig
+    with observer.phase("rig"):
+        trial = try_rig(method, context)
+    note = f"thermal camera: the rig is {'' if trial.pays else 'not '}learnt: {trial.reason}"
+    observer.note("thermal_camera", {"rig": asdict(trial)}, [note])
+    return trial.pays
 
 
 def _estimate_priors(
@@ -202,9 +203,6 @@ def _where_valid(prior: DepthPrior, view: View) -> DepthPrior:
     return DepthPrior(values, prior.kind)
 
 
-Facts = dict[str, Any]
-
-
 @dataclass(frozen=True)
 class ThermalCameraOptions:
     """What is done about the thermal camera's errors; see `conf/thermal_camera/`."""
@@ -213,7 +211,8 @@ class ThermalCameraOptions:
     rig: bool | Literal["auto"] = False  # learn its pose and lens with the Gaussians; auto: if `try_rig` finds a gain
 
 
-def _estimated(camera: ThermalCamera) -> Facts:
+def _as_recorded(camera: ThermalCamera) -> dict[str, Any]:
+    """Return the estimate of a thermal camera as a record keeps it."""
     return {
         "unit": camera.unit, "terms": list(camera.terms), "undetermined": camera.undetermined,
         "views": list(camera.views), "reference": round(float(camera.reference), DIGITS),

@@ -18,7 +18,7 @@ from tdgbench.cells.cell_tables import read_log, read_views
 from tdgbench.cells.ground_truth import masked
 from tdgbench.cells.paths import DETERMINACY, LOG_FILE, MASKS, PARTS_FILE, RECORD_FILE, files_of
 from tdgbench.cells.read_files import MAX_PICTURE, read_named
-from tdgbench.cells.record import Record
+from tdgbench.cells.record import Record, read_each
 from tdgbench.cells.renders import background_of, blending_of, depth_of, determinacy_of, render_model, response_of
 from tdgbench.cells.stored_parts import StoredMethod
 from tdgbench.files import content_of, sha256_of
@@ -259,3 +259,11 @@ class CellFolder:
 
     def _path(self, kind: str, view: str) -> Path:
         return self.folder / kind / f"{view}.png"
+
+
+def read_cells(experiment: Path) -> list[CellFolder]:
+    """Return the cells of an experiment, finished and failed ones, in the order of their folders.
+
+    One whose record cannot be read is a failed cell, with the reason.
+    """
+    return [CellFolder(folder, record) for folder, record in read_each(experiment)]

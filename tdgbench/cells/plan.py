@@ -20,7 +20,7 @@ from tdgbench.cells.read_files import read_text
 from tdgbench.files import write_text
 from tdgbench.scenes import Description
 
-FILE = "experiment.json"
+PLAN_FILE = "experiment.json"
 OF_A_CELL = ("method", "dataset", "scene", "init", "seed")
 IN_THE_PATH = (*OF_A_CELL, "name", "results")  # keys that are part of a cell's path or do not concern it
 
@@ -40,7 +40,7 @@ class Plan:
 
     def write(self, experiment: Path) -> None:
         experiment.mkdir(parents=True, exist_ok=True)
-        write_text(experiment / FILE, json.dumps(asdict(self), indent=1) + "\n")
+        write_text(experiment / PLAN_FILE, json.dumps(asdict(self), indent=1) + "\n")
 
     def variant(self, overrides: list[str]) -> str:
         """Return overrides of a job that distinguish its cell from others with the same path.
@@ -61,7 +61,7 @@ class Plan:
 
 def read_plan(folder: Path) -> Plan:
     """Read the plan in a folder; the default plan if there is none. Raises ValueError, naming the file, if broken."""
-    path = folder / FILE
+    path = folder / PLAN_FILE
     try:
         return TypeAdapter(Plan).validate_json(read_text(path), strict=True)
     except FileNotFoundError:
@@ -74,8 +74,8 @@ def read_plan(folder: Path) -> Plan:
 
 def plan_of_job(sweep_folder: Path) -> Plan:
     """Return the plan of a job's sweep. Raises ValueError without one: several jobs might share a cell's folder."""
-    if not (sweep_folder / FILE).exists():
-        raise ValueError(f"{sweep_folder / FILE} is missing, the plan of the sweep; run the sweep again")
+    if not (sweep_folder / PLAN_FILE).exists():
+        raise ValueError(f"{sweep_folder / PLAN_FILE} is missing, the plan of the sweep; run the sweep again")
     return read_plan(sweep_folder)
 
 

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from tdgbench.cells.folder import RENDERS, CellFolder
+from tdgbench.cells.folder import RENDERS, CellFolder, read_cells
 from tdgbench.cells.paths import LOG_FILE
 from tdgbench.cells.plan import read_plan
-from tdgbench.cells.record import Record, read_each
+from tdgbench.cells.record import Record
 
 FEWEST_SEEDS = 3  # of which a spread can be stated
 OF_A_MACHINE = ("cpu", "cores", "platform", "python", "packages")
@@ -25,7 +25,7 @@ class Item(NamedTuple):
 
 def checklist(experiment: Path) -> list[Item]:
     """Return the list for a results folder."""
-    cells = [CellFolder(*one) for one in read_each(experiment)]
+    cells = read_cells(experiment)
     finished = [cell for cell in cells if cell.record.failure is None]
     records = [cell.record for cell in finished]
     planned = max(read_plan(experiment).cells_with_data, len(cells))  # some may be of an earlier plan

@@ -11,9 +11,15 @@ from tempfile import TemporaryDirectory
 
 from tdgbench.archives import Member, opened_zip
 from tdgbench.files import in_mb, whole_folder
-from tdgbench.packs import manifest
-from tdgbench.packs.limits import MOST_MANIFEST, check_amount, most_bytes
-from tdgbench.packs.manifest import Manifest, read_manifest, sha256
+from tdgbench.packs.manifest import (
+    MANIFEST_FILE,
+    MOST_MANIFEST,
+    Manifest,
+    check_amount,
+    most_bytes,
+    read_manifest,
+    sha256,
+)  # fmt: skip
 
 
 @contextmanager
@@ -71,9 +77,9 @@ def _extract(path: Path, folder: Path) -> tuple[Manifest, str]:
 def _extract_members(members: dict[str, Member], folder: Path) -> tuple[Manifest, str]:
     """Unpack the members of a pack: what they state is checked before any of them is read."""
     check_amount(members)
-    stated = members.pop(manifest.FILE, None)
+    stated = members.pop(MANIFEST_FILE, None)
     if stated is None or stated.size > MOST_MANIFEST:
-        raise ValueError(f"it has no {manifest.FILE} of at most {in_mb(MOST_MANIFEST)}")
+        raise ValueError(f"it has no {MANIFEST_FILE} of at most {in_mb(MOST_MANIFEST)}")
     text = b"".join(stated.chunks())
     content = read_manifest(text)
     for name in sorted(set(members) ^ set(content.files)):

@@ -8,17 +8,26 @@ import json
 import re
 import shutil
 import zipfile
+from collections.abc import Iterable
 from pathlib import Path
 
 from tdgbench import __version__
-from tdgbench.cells import plan
 from tdgbench.cells.folder import files_below
 from tdgbench.cells.paths import RECORD_FILE, folder_name
+from tdgbench.cells.plan import PLAN_FILE
 from tdgbench.cells.record import no_records, record_files
 from tdgbench.files import content_of, opened, whole_file
-from tdgbench.packs import manifest
-from tdgbench.packs.limits import NAME, check_amount, check_place, most_bytes
-from tdgbench.packs.manifest import Manifest, PackedFile, sha256
+from tdgbench.packs.manifest import (
+    MANIFEST_FILE,
+    NAME,
+    SHOWN,
+    Manifest,
+    PackedFile,
+    check_amount,
+    check_place,
+    most_bytes,
+    sha256,
+)  # fmt: skip
 from tdgbench.scenes import SceneError
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file: the first time that a zip file can state
@@ -37,31 +46,38 @@ def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -
     """
     if path is not None and path.suffix != ".zip":  # what is there is replaced
         raise ValueError(f"--out {path}: the file's name must end in .zip")
-    paths = _paths(experiment)
-    for name, file in paths.items():
-        found = private_paths(_text(file).decode(errors="replace")) if name.endswith(TEXTS) and not keep_paths else []
-        if found:
-            raise ValueError(
-                f"{file} holds {found[0]!r}, a path of this machine: run the cell again with relative "
-                "paths (data.root=data), or pack with --keep-paths"
-            )
-    files = {}
-    for name, file in paths.items():
-        with _content(file, experiment) as content:
-            size = content.seek(0, 2)
-            content.seek(0)
-            files[name] = PackedFile(size, hashlib.file_digest(content, "sha256").hexdigest())
+    paths, experiment_name = _paths(experiment), experiment.resolve().name
+    if not keep_paths:
+        _check_no_private_paths(file for name, file in paths.items() if name.endswith(TEXTS))
+    files = {name: _described(file, experiment) for name, file in paths.items()}
     check_amount(files)
-    own = experiment.resolve().name
-    text = Manifest(own if re.fullmatch(NAME, own) else folder_name(own), __version__, files).to_json()
+    plain = experiment_name if re.fullmatch(NAME, experiment_name) else folder_name(experiment_name)
+    text = Manifest(plain, __version__, files).to_json()
     name = sha256(text)
-    path = path or experiment.resolve().parent / f"{experiment.resolve().name}-{name[: manifest.SHOWN]}.zip"
+    path = path or experiment.resolve().parent / f"{experiment_name}-{name[:SHOWN]}.zip"
     with whole_file(path) as part, zipfile.ZipFile(part, "w") as archive:
-        archive.writestr(_info(manifest.FILE), text)
+        archive.writestr(_info(MANIFEST_FILE), text)
         for entry, file in paths.items():
             with _content(file, experiment) as content, archive.open(_info(entry, files[entry].size), "w") as out:
                 shutil.copyfileobj(content, out)
     return path, name
+
+
+def _check_no_private_paths(files: Iterable[Path]) -> None:
+    """Raise ValueError for a text that holds an absolute path."""
+    for file in files:
+        for found in private_paths(_text(file).decode(errors="replace")):
+            raise ValueError(
+                f"{file} holds {found!r}, a path of this machine: run the cell again with relative "
+                "paths (data.root=data), or pack with --keep-paths"
+            )
+
+
+def _described(file: Path, experiment: Path) -> PackedFile:
+    with _content(file, experiment) as content:
+        size = content.seek(0, 2)
+        content.seek(0)
+        return PackedFile(size, hashlib.file_digest(content, "sha256").hexdigest())
 
 
 def _info(entry: str, size: int = 0) -> zipfile.ZipInfo:
@@ -86,7 +102,7 @@ def _paths(experiment: Path) -> dict[str, Path]:
     records = record_files(experiment)
     if not records:
         raise no_records(experiment)
-    paths = [experiment / plan.FILE] if (experiment / plan.FILE).exists() else []
+    paths = [experiment / PLAN_FILE] if (experiment / PLAN_FILE).exists() else []
     for record in records:
         paths += [record, *files_below(record.parent).values()]
     found = {}

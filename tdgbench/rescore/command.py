@@ -14,13 +14,12 @@ from omegaconf import OmegaConf
 from tdgbench.bench.failures import message
 from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.options import check_options
-from tdgbench.cells.folder import CellFolder
+from tdgbench.cells.folder import CellFolder, read_cells
 from tdgbench.cells.key import as_json, relevant_metrics
 from tdgbench.cells.known_classes import add_trust_arguments, trust
 from tdgbench.cells.metric_settings import metric_settings, scorer_of
 from tdgbench.cells.paths import cell_folder_of
 from tdgbench.cells.plan import read_plan
-from tdgbench.cells.record import read_each
 from tdgbench.experiments.error_message import error_message
 from tdgbench.experiments.sweep.finish import write_all
 from tdgbench.files import whole_folder
@@ -71,21 +70,22 @@ def score_experiment(experiment: Path, out: Path, words: list[str]) -> bool:
     Raises ValueError for a folder without finished cells, and for words that are no options of `metrics`.
     """
     chosen = read_options(words) if words else None
-    cells = read_each(experiment)
-    if not any(record.failure is None for _, record in cells):
+    cells = read_cells(experiment)
+    if not any(cell.record.failure is None for cell in cells):
         raise ValueError(f"{experiment} holds no finished cell")
     if out.resolve() == experiment.resolve():
         raise ValueError(f"{out} holds the first scores, which are kept; name another folder")
     scorers: dict[str, Scorer] = {}  # each loads LPIPS's network once for all cells
     read_plan(experiment).write(out)
     failed = False
-    for folder, record in cells:
+    for cell in cells:
+        record = cell.record
         target, record.experiment = cell_folder_of(out, record), out.resolve().name
         try:
             with cell_lock(out, target) as is_held:
                 if not is_held:
                     raise ValueError("another process works on it")
-                outcome = _score(CellFolder(folder, record), target, chosen, scorers)
+                outcome = _score(cell, target, chosen, scorers)
         except (ValueError, OSError) as error:
             failed, outcome = True, f"not scored: {error}"
         except (Exception, SystemExit) as error:  # a method of the user may raise anything; the others are scored

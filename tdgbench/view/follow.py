@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from tdgbench.cells.folder import CellFolder
+from tdgbench.cells.folder import CellFolder, read_cells
 from tdgbench.cells.paths import RECORD_FILE, cell_folder_of
-from tdgbench.cells.record import read_each, read_record
+from tdgbench.cells.record import read_record
 from tdgbench.cells.stored_parts import MethodInTraining
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
@@ -72,7 +72,7 @@ class Follower:
         """Read the result of the cell, or without a cell the newest one; `waiting` says what runs."""
         cell = self._cell
         if cell is None:
-            found = [folder for folder, record in read_each(self._experiment) if record.failure is None]
+            found = [cell.folder for cell in read_cells(self._experiment) if cell.record.failure is None]
             folder = max(found, key=lambda one: (one / RECORD_FILE).stat().st_mtime, default=None)
             if folder is None:
                 return waiting or f"no cell of {self._experiment} runs or is finished"

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 from PIL import Image
 
-from tdgbench.bench.colours import in_colour, lookup_table
+from tdgbench.present.colours import in_colour, lookup_table
 from tdgbench.scenes.modalities import LABELS
 from tdgbench.view.cells import ViewedCell
 from tdgbench.view.renderer import COLOR_MAPS, GEOMETRY, QUANTITIES, Look, RenderedLook

@@ -9,10 +9,10 @@ import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from tdgbench.bench.colours import in_colour
+from tdgbench.present.colours import in_colour
 from tdgbench.scenes import Camera
 from tdgbench.scenes.camera import pose_at
-from tdgbench.scenes.outliers import outlying
+from tdgbench.scenes.geometry import outlying
 from tdgbench.view.cells import ViewedCell
 
 if TYPE_CHECKING:

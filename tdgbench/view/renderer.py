@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from tdgbench.bench.colours import colored, expected_depth, shaded
 from tdgbench.cells.renders import background_of, determinacy_of
+from tdgbench.present.colours import colored, expected_depth, shaded
 from tdgbench.scenes import Camera
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.scoring import to_8bit

@@ -60,4 +60,4 @@ def pictures(viewed) -> tuple[np.ndarray, np.ndarray]:
     """A test view as the viewer renders it, and as the cell stored it."""
     name, camera = next(iter(viewed.test.items()))
     shown = to_8bit(Renderer({"": viewed}).values("", "thermal", camera))
-    return shown, read_picture(viewed.folder / "renders" / f"{name}.png", (camera.width, camera.height))
+    return shown, read_picture(viewed.cell.folder / "renders" / f"{name}.png", (camera.width, camera.height))

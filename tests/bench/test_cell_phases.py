@@ -5,40 +5,18 @@ import pytest
 from tdgbench.bench.backend_check import choose
 from tdgbench.cells.folder import hashes_of_content
 from tdgbench.cells.record import read_all
-from tdgbench.training import checkpoint as checkpoints
-from tests.helpers.cells import run_quietly
-from tests.helpers.configs import SMALL, config
+from tests.helpers.cells import PulledPlugError, killed_at, run_quietly
+from tests.helpers.configs import QUICK, config
 
-ITERATIONS = 40
+FEW = (*QUICK, "budget.iterations=8", "method=3dgs", "scene=turntable")
 
 
 @pytest.fixture
 def run(data_root):
     def cell(results, *overrides):
-        cfg = config(
-            *SMALL, "budget=demo", f"budget.iterations={ITERATIONS}", "prior=synthetic", f"data.root={data_root}",
-            f"results={results}", *overrides,
-        )  # fmt: skip
-        return run_quietly(cfg)
+        return run_quietly(config(*FEW, f"data.root={data_root}", f"results={results}", *overrides))
 
     return cell
-
-
-class PulledPlugError(BaseException):
-    """Not an Exception, so that nothing catches it, like SIGKILL."""
-
-
-def killed_at(iteration, monkeypatch):
-    """Write a checkpoint at every iteration, and die after that of the given one."""
-    write_if_due = checkpoints.Checkpoint.write_if_due
-
-    def write_and_die(self, log):
-        self._next = 0.0
-        write_if_due(self, log)
-        if log.iterations == iteration:
-            raise PulledPlugError
-
-    monkeypatch.setattr(checkpoints.Checkpoint, "write_if_due", write_and_die)
 
 
 @pytest.fixture
@@ -54,12 +32,13 @@ def auto_is(monkeypatch):
 
 
 def test_a_killed_cell_resumes(run, tmp_path, monkeypatch):
-    assert run(tmp_path / "calm").status == "ok"
+    longer = ("method=tdg", "budget.iterations=40")
+    assert run(tmp_path / "calm", *longer).status == "ok"
     with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
         killed_at(23, patch)
-        run(tmp_path / "killed", "checkpoint=0")
+        run(tmp_path / "killed", "checkpoint=0", *longer)
     assert len(list((tmp_path / "killed" / "single" / "checkpoints").iterdir())) == 1
-    outcome = run(tmp_path / "killed")
+    outcome = run(tmp_path / "killed", *longer)
     assert (outcome.status, outcome.message) == ("ok", "resumed after iteration 23")
     (calm,), (killed,) = (read_all(tmp_path / name / "single") for name in ("calm", "killed"))
     assert (calm.resumed, killed.resumed) == ([], [23])
@@ -83,13 +62,12 @@ def test_a_checkpoint_of_other_settings_is_not_used(run, tmp_path, monkeypatch, 
 
 def test_a_verdict_makes_no_finished_cell_run_again(run, tmp_path, auto_is):
     """The key holds the choice `auto`; the record says what trained, and why."""
-    few = ("budget.iterations=3", "scene=turntable")
     auto_is("cpu", "the CPU trains, not A: it is wrong")
-    assert run(tmp_path / "a", *few).status == "ok"
+    assert run(tmp_path / "a").status == "ok"
     auto_is("reference", "A trains: it agrees")
-    assert run(tmp_path / "a", *few).status == "kept"
-    assert run(tmp_path / "b", *few).status == "ok"
-    assert run(tmp_path / "c", "backend=cpu", *few).status == "ok"
+    assert run(tmp_path / "a").status == "kept"
+    assert run(tmp_path / "b").status == "ok"
+    assert run(tmp_path / "c", "backend=cpu").status == "ok"
     first, second, named = (read_all(tmp_path / name / "single")[0] for name in "abc")
     assert (first.backend, second.backend, named.backend) == ("cpu", "reference", "cpu")
     assert first.key == second.key != named.key
@@ -99,11 +77,10 @@ def test_a_verdict_makes_no_finished_cell_run_again(run, tmp_path, auto_is):
 
 
 def test_a_checkpoint_of_another_backend_is_not_used(run, tmp_path, monkeypatch, auto_is):
-    few = ("budget.iterations=8", "scene=turntable")
     with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
         killed_at(5, patch)
-        run(tmp_path, "checkpoint=0", *few)
+        run(tmp_path, "checkpoint=0")
     auto_is("reference", "A trains: it agrees")
-    assert run(tmp_path, *few).status == "ok"
+    assert run(tmp_path).status == "ok"
     (record,) = read_all(tmp_path / "single")
     assert record.resumed == [] and any("not used: other backend (iteration 5)" in note for note in record.notes)

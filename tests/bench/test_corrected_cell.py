@@ -19,23 +19,25 @@ from tdgbench.verify import verify, verify_cell
 from tests.helpers.cells import run_quietly
 from tests.helpers.configs import SMALL, config
 
-DRIFT = (
+STILL = (
     "scene=turntable", "dataset.loader.width=64", "dataset.loader.height=48", "dataset.loader.views=15",
     "dataset.loader.points=2500", "dataset.loader.errors.thermal_camera.encoding=degC",
-    "dataset.loader.errors.thermal_camera.walk_degC=4", "dataset.loader.errors.thermal_camera.shutter_views=6",
+)  # fmt: skip
+DRIFT = (
+    *STILL, "dataset.loader.errors.thermal_camera.walk_degC=4", "dataset.loader.errors.thermal_camera.shutter_views=6",
     "dataset.loader.errors.thermal_camera.vignette_degC=2.6",
 )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def results_of(tmp_path_factory):
-    """A function that runs a cell of a drifting scene, and gives its configuration and results folder."""
+    """A function that runs a cell, by default of a drifting scene; it gives its configuration and results folder."""
     root = tmp_path_factory.mktemp("drifting")
 
-    def run(name, *overrides):
+    def run(name, of=DRIFT):
         cfg = config(
             *SMALL, "budget=demo", "budget.iterations=60", "method=3dgs", f"data.root={root}",
-            f"results={root / name}", "thermal_camera=estimated", *DRIFT, *overrides,
+            f"results={root / name}", "thermal_camera=estimated", *of,
         )  # fmt: skip
         outcome = run_quietly(cfg)
         assert outcome.status == "ok", outcome
@@ -58,6 +60,32 @@ def cell(results):
 
 def picture(path):
     return np.asarray(Image.open(path), np.float32) / np.float32(255)
+
+
+def test_the_record_says_what_was_estimated(cell):
+    estimated = cell[0].thermal_camera["estimated"]
+    assert "offsets" in estimated["terms"] and estimated["unit"] == "°C"
+    assert estimated["offset_rms"] > 0.5 and estimated["residual_after"] < estimated["residual_before"]
+    assert any(note.startswith("thermal camera: training views are corrected") for note in cell[0].notes)
+    assert cell[0].seconds["thermal_camera"] > 0 and cell[0].setting("thermal_camera.estimate") is True
+
+
+def test_what_cannot_be_estimated_is_a_note(results_of):
+    (record,) = read_all(results_of("orbit", of=("scene=orbit",))[1] / "single")
+    assert "pseudo-coloured" in record.thermal_camera["estimated"]["unknown"]
+    (note,) = (note for note in record.notes if note.startswith("thermal camera: "))
+    assert note.startswith("thermal camera: images stay as they are: ")
+
+
+def test_a_capture_without_drift_keeps_its_offsets(results_of):
+    (record,) = read_all(results_of("still", of=STILL)[1] / "single")
+    assert "offsets" not in record.thermal_camera["estimated"]["terms"]
+    assert record.thermal_camera["estimated"]["offset_rms"] == 0
+
+
+def test_without_an_estimate_nothing_is_said(small_results):
+    for record in read_all(small_results):
+        assert record.thermal_camera == {} and "thermal_camera" not in record.seconds
 
 
 def test_the_record_holds_what_training_views_were_corrected_for(results, cell):

@@ -8,32 +8,20 @@ import stat
 import pytest
 
 from tdgbench.tables.build import build_tables
-from tdgbench.training.checkpoint import Checkpoint
-from tests.helpers.cells import run_quietly
-from tests.helpers.configs import SMALL, config
-
-
-class PulledPlugError(BaseException):
-    """Not an Exception, so that nothing catches it, like SIGKILL."""
+from tests.helpers.cells import PulledPlugError, killed_at, run_quietly
+from tests.helpers.configs import QUICK, config
 
 
 @pytest.mark.parametrize(("umask", "folder", "file"), [(0o022, 0o755, 0o644), (0o027, 0o750, 0o640)])
 def test_permissions_follow_the_umask(tmp_path, data_root, monkeypatch, umask, folder, file):
     """A cell that is killed after its first checkpoint, resumed, and tabulated."""
-    cfg = config(
-        *SMALL, "budget=demo", "budget.iterations=20", "method=tdg", "prior=synthetic", "scene=turntable",
-        f"data.root={data_root}", f"results={tmp_path / 'results'}", "checkpoint=0",
-    )  # fmt: skip
-    experiment, write_if_due = tmp_path / "results" / "single", Checkpoint.write_if_due
-
-    def write_and_die(self, log):
-        write_if_due(self, log)
-        raise PulledPlugError
-
+    place = f"data.root={data_root}", f"results={tmp_path / 'results'}"
+    cfg = config(*QUICK, "method=tdg", "scene=turntable", *place, "checkpoint=0")
+    experiment = tmp_path / "results" / "single"
     before = os.umask(umask)
     try:
         with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
-            patch.setattr(Checkpoint, "write_if_due", write_and_die)
+            killed_at(1, patch)
             run_quietly(cfg)
         (checkpoint,) = (experiment / "checkpoints").iterdir()
         assert stat.S_IMODE(checkpoint.stat().st_mode) == file
@@ -43,15 +31,7 @@ def test_permissions_follow_the_umask(tmp_path, data_root, monkeypatch, umask, f
         os.umask(before)
     paths = [p for p in (tmp_path / "results").rglob("*") if p.parent.name != "locks"]
     names = {p.name for p in paths}
-    assert {
-        "seed0",
-        "checkpoints",
-        "priors",
-        "record.json",
-        "model.ply",
-        "cameras.json",
-        "main.csv",
-        "main.tex",
-    } <= names
+    files = {"record.json", "model.ply", "cameras.json", "main.csv", "main.tex"}
+    assert {"seed0", "checkpoints", "priors", *files} <= names
     wrong = [p for p in paths if stat.S_IMODE(p.stat().st_mode) != (folder if p.is_dir() else file)]
     assert wrong == []

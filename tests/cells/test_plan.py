@@ -1,7 +1,7 @@
 import pytest
 from omegaconf import OmegaConf
 
-from tdgbench.cells.plan import FILE, Plan, number_of_jobs, plan_of_job, read_plan, swept
+from tdgbench.cells.plan import PLAN_FILE, Plan, number_of_jobs, plan_of_job, read_plan, swept
 from tdgbench.scenes import Description
 
 
@@ -13,7 +13,7 @@ def test_round_trip(tmp_path):
 
 
 def test_a_plan_with_the_old_name_of_its_count(tmp_path):
-    (tmp_path / FILE).write_text('{"cells_to_run": 3}', encoding="utf-8")
+    (tmp_path / PLAN_FILE).write_text('{"cells_to_run": 3}', encoding="utf-8")
     assert read_plan(tmp_path) == Plan(cells_with_data=3)
 
 
@@ -45,11 +45,11 @@ def test_values_are_the_texts_that_the_cells_see():
 
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"scenes": 3}', '{"scenes": [{}]}', '{"colour": "red"}'])
 def test_a_broken_plan_is_named(tmp_path, content):
-    (tmp_path / FILE).write_text(content, encoding="utf-8")
-    with pytest.raises(ValueError, match=rf"{FILE} is not the plan of a sweep \(.*run the sweep again"):
+    (tmp_path / PLAN_FILE).write_text(content, encoding="utf-8")
+    with pytest.raises(ValueError, match=rf"{PLAN_FILE} is not the plan of a sweep \(.*run the sweep again"):
         read_plan(tmp_path)
 
 
 def test_a_job_without_its_plan_does_not_run(tmp_path):
-    with pytest.raises(ValueError, match=f"{FILE} is missing"):
+    with pytest.raises(ValueError, match=f"{PLAN_FILE} is missing"):
         plan_of_job(tmp_path)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
 from omegaconf import DictConfig
 from rich.console import Console
 
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.run_cell import Outcome, run_cell
 from tdgbench.cells.record import read_all
+from tdgbench.training.checkpoint import Checkpoint
 
 
 def run_quietly(cfg: DictConfig, variant: str = "") -> Outcome:
@@ -30,3 +32,20 @@ def fails(error):
         raise error
 
     return step
+
+
+class PulledPlugError(BaseException):
+    """Not an Exception, so that nothing catches it, like SIGKILL."""
+
+
+def killed_at(iteration: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let trainings write a checkpoint at every iteration, and die after that of the given one."""
+    write_if_due = Checkpoint.write_if_due
+
+    def write_and_die(self, log):
+        self._next = 0.0
+        write_if_due(self, log)
+        if log.iterations == iteration:
+            raise PulledPlugError
+
+    monkeypatch.setattr(Checkpoint, "write_if_due", write_and_die)

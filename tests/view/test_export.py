@@ -61,7 +61,8 @@ def test_the_page_holds_the_model_within_a_step_of_16_bits(name, request, tmp_pa
 
 def test_the_page_is_alone_and_names_are_text(tdg_folder, tmp_path):
     cell = open_cell(tdg_folder)
-    odd = replace(cell, record=replace(cell.record, scene=ODD), test={ODD: next(iter(cell.test.values()))})
+    folder = replace(cell.cell, record=replace(cell.record, scene=ODD))
+    odd = replace(cell, cell=folder, test={ODD: next(iter(cell.test.values()))})
     text, facts = exported(odd, tmp_path / "a.html")
     assert "http://" not in text and "https://" not in text and "default-src 'none'" in text
     assert re.findall(r'(?:src|href)="?([^" >]*)', text) == ["data:,"]

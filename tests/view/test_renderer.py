@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from tdgbench.bench.colours import colored, shaded
 from tdgbench.cells.read_files import read_picture
 from tdgbench.cells.renders import render_model
+from tdgbench.present.colours import colored, shaded
 from tdgbench.scoring import to_8bit
 from tdgbench.view.cells import open_cells
 from tdgbench.view.poses import camera_of, pose_of

@@ -1,10 +1,17 @@
-"""Compare values and gradients of a backend on four small scenes with the float64 reference."""
+"""Compare values and gradients of a backend on four small scenes with the float64 reference.
+
+A process of its own does it: a compiler that hangs, or a driver that crashes, costs the backend and nothing else.
+"""
 
 from __future__ import annotations
 
+import json
 import math
+import sys
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 
 import torch
 
@@ -19,9 +26,12 @@ from tdgbench.bench.backend_check.compare import (
     render,
 )
 from tdgbench.bench.failures import message
+from tdgbench.children import run_limited
+from tdgbench.resources import PACKAGE
 from tdgbench.splats.backends import load_backend
 from tdgbench.text import shortened
 
+LIMIT_SECONDS = 3600.0  # gsplat compiles for minutes, on two slow cores for half an hour
 REPETITIONS = 3
 COMPARED = (*NAMES, "means2d")  # density control reads the last one
 
@@ -36,6 +46,21 @@ class BackendCheck:
     gradients: float = 0.0
     spread: float = 0.0  # largest difference between repetitions, as the errors; 0: equal bytes
     seconds: float = 0.0
+
+
+def check_in_new_process(
+    backend: str, device: int, command: Sequence[str] | None = None, limit: float = LIMIT_SECONDS
+) -> BackendCheck:
+    """Check a backend on a CUDA device (its index) in a new process; what ends that is a reason to refuse the backend.
+
+    After `limit` seconds, it is killed with the compilers that it started. command: stands in for the check in tests.
+    """
+    ended = run_limited(command or [sys.executable, "-m", __name__, backend, str(device)], limit, PACKAGE.parent)
+    if ended.status == 0:
+        with suppress(ValueError, TypeError, IndexError):
+            return BackendCheck(**json.loads(ended.out.strip().splitlines()[-1]))
+    limited = f" of {limit:g} s" if ended.status is None else ""
+    return BackendCheck(shortened(f"its check failed: {ended.why}{limited}"), runs=False)
 
 
 def check(backend: str) -> BackendCheck:
@@ -103,3 +128,13 @@ def _spread(first: Rendered, other: Rendered) -> float:
         gradient = first.gradients[name]
         parts.append((gradient - other.gradients[name]).norm() / gradient.norm().clamp_min(1e-12))
     return torch.stack(parts).max().item()
+
+
+def main() -> None:
+    """Check the backend that the first argument names on the device of the second; write the outcome as JSON."""
+    with torch.cuda.device(int(sys.argv[2])):
+        sys.stdout.write(json.dumps(asdict(check(sys.argv[1]))) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 import torch
 
-from tdgbench.bench.backend_check.check import BackendCheck
+from tdgbench.bench.backend_check.check import BackendCheck, check_in_new_process
 from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE
-from tdgbench.bench.backend_check.process import check_apart
 from tdgbench.splats.backends import ON_GPU, load_backend
 from tdgbench.terminal import say
 
@@ -36,7 +35,7 @@ def training_backend(name: str) -> str:
 @cache
 def auto() -> AutoBackend:
     """Return the choice of this process; the first call makes it and prints why."""
-    choice = choose(check_apart)
+    choice = choose(check_in_new_process)
     if choice.line:
         say(choice.line, "backend:", "bold", stderr=True)
     return choice

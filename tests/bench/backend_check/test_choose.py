@@ -120,7 +120,7 @@ def test_every_model_has_to_pass(machine):
 
 def test_the_line_is_printed_once(machine, monkeypatch, capsys):
     machine("A")
-    monkeypatch.setattr(choosing, "check_apart", lambda backend, device: GOOD)
+    monkeypatch.setattr(choosing, "check_in_new_process", lambda backend, device: GOOD)
     assert [training_backend("auto") for _ in range(3)] == ["cuda"] * 3
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 2 and "\nbackend: A trains: gsplat 1.5.3" in err

@@ -10,17 +10,16 @@ from pathlib import Path
 
 import pytest
 
+from tdgbench.bench.backend_check import check as checking
 from tdgbench.bench.backend_check import choose as choosing
-from tdgbench.bench.backend_check import process
-from tdgbench.bench.backend_check.check import BackendCheck
+from tdgbench.bench.backend_check.check import BackendCheck, check_in_new_process
 from tdgbench.bench.backend_check.choose import auto, choose
-from tdgbench.bench.backend_check.process import check_apart
 from tdgbench.splats.backends import ON_GPU
 from tests.helpers.backends import need
 
 
 def of(code: str, limit: float = 60.0) -> BackendCheck:
-    return check_apart("warp", 0, [sys.executable, "-c", code], limit)
+    return check_in_new_process("warp", 0, [sys.executable, "-c", code], limit)
 
 
 HANGS = """
@@ -33,7 +32,7 @@ compiler.wait()
 
 def test_one_that_hangs_is_killed_with_what_it_started(tmp_path):
     noted, start = tmp_path / "pid", time.monotonic()
-    verdict = check_apart("warp", 0, [sys.executable, "-c", HANGS, str(noted)], 5.0)
+    verdict = check_in_new_process("warp", 0, [sys.executable, "-c", HANGS, str(noted)], 5.0)
     assert verdict == BackendCheck("its check failed: it did not end within its time limit of 5 s", runs=False)
     assert time.monotonic() - start < 30
     compiler = int(noted.read_text())
@@ -65,14 +64,14 @@ def test_the_process_that_is_started_is_the_check(monkeypatch, capsys):
     """`cpu` passes on any machine."""
     monkeypatch.setattr(sys, "argv", ["process", "cpu", "0"])
     monkeypatch.setattr("torch.cuda.device", contextlib.nullcontext)
-    process.main()
+    checking.main()
     assert BackendCheck(**json.loads(capsys.readouterr().out)).reason == ""
 
 
 def test_without_a_gpu_no_process_is_started(monkeypatch):
     monkeypatch.setattr(choosing, "choose", choose)
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
-    monkeypatch.setattr(process, "run_limited", lambda *args, **kwargs: pytest.fail("a process"))
+    monkeypatch.setattr(checking, "run_limited", lambda *args, **kwargs: pytest.fail("a process"))
     auto.cache_clear()
     assert auto().backend == "cpu"
     auto.cache_clear()
@@ -80,7 +79,7 @@ def test_without_a_gpu_no_process_is_started(monkeypatch):
 
 @pytest.mark.cuda
 @pytest.mark.parametrize("backend", ON_GPU)
-def test_a_real_gpu_is_checked_apart(backend):
+def test_a_real_gpu_is_checked_in_a_process_of_its_own(backend):
     need(backend)
-    verdict = check_apart(backend, 0)
+    verdict = check_in_new_process(backend, 0)
     assert verdict.runs and not verdict.reason, verdict

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tdgbench.bench.assumed import GRAY, state_assumptions, state_values
+from tdgbench.bench.record_of_run import GRAY, state_assumptions, state_values
 from tdgbench.cells.record import PALETTE, read_all, read_record, schema_problems
 from tdgbench.packs.write import private_paths
 from tdgbench.scenes.view_images import PALETTE as OF_SCENES
