@@ -153,6 +153,13 @@ def test_pages_count_nothing_that_registries_do():
     assert {name: counts for name, counts in found.items() if counts} == {}
 
 
+@pytest.mark.parametrize("experiment, words", [("demo", "on four built-in scenes"), ("table1", "on 14 scenes")])
+def test_the_readme_counts_the_scenes_of_its_experiments(experiment, words):
+    sweep = yaml.safe_load((ROOT / "conf" / "experiment" / f"{experiment}.yaml").read_text("utf-8"))["hydra"]["sweeper"]
+    count = len(sweep["params"]["scene"].split(","))
+    assert words in (ROOT / "README.md").read_text("utf-8") and {4: "four", 14: "14"}[count] in words
+
+
 def named_in(page: str, beginning: str) -> set[str]:
     """Words in code spans of the line of a page that begins so."""
     lines = (ROOT / "docs" / page).read_text(encoding="utf-8").splitlines()
