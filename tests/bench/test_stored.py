@@ -3,7 +3,6 @@
 import errno
 import json
 import os
-import shutil
 
 import pytest
 
@@ -12,8 +11,9 @@ from tdgbench.bench import run_cell
 from tdgbench.bench.cell_phases import CellRun
 from tdgbench.bench.lock import cell_lock
 from tdgbench.cells.paths import cell_folder_of, short_name
-from tdgbench.cells.record import SCHEMA, read_all, schema_problems
+from tdgbench.cells.record import SCHEMA, read_all, readable_record, schema_problems
 from tests.helpers.cells import fails, hidden, statuses
+from tests.helpers.records import record
 
 
 def test_no_stale_result_stands_for_a_failure(tiny_cell, monkeypatch):
@@ -84,17 +84,22 @@ SPOILS = {
 }
 
 
+@pytest.mark.parametrize("name", SPOILS)
+def test_a_record_that_is_broken_is_none(tmp_path, name):
+    record(seconds={"train": 1.0}).write(tmp_path)
+    assert readable_record(tmp_path) is not None
+    SPOILS[name](tmp_path / "record.json")
+    assert readable_record(tmp_path) is None
+
+
 @pytest.mark.parametrize("works", [True, False])
-def test_a_broken_record_is_replaced(tiny_cell, monkeypatch, tmp_path, works):
+def test_a_broken_record_is_replaced(tiny_cell, monkeypatch, works):
     assert tiny_cell().status == "ok"
-    whole = shutil.copytree(tiny_cell.experiment, tmp_path / "whole")
     if not works:
         monkeypatch.setattr(GaussianSplatting, "setup", fails(ValueError("broken")))
-    for name, spoil in list(SPOILS.items())[:: 3 if works else 1]:
-        shutil.rmtree(tiny_cell.experiment)
-        shutil.copytree(whole, tiny_cell.experiment)
-        spoil(tiny_cell.folder / "record.json")
-        outcome = tiny_cell()
+    for name in ("folder", "bytes"):
+        SPOILS[name](tiny_cell.folder / "record.json")
+        outcome = tiny_cell("overwrite=always")
         assert outcome.status == ("ok" if works else "failed") and "could not" not in outcome.message, name
         assert statuses(tiny_cell.experiment) == [outcome.status], name
 

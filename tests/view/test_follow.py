@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
 
 import pytest
@@ -17,10 +13,14 @@ from tdgbench.view.cells import open_cell
 from tdgbench.view.command import main
 from tdgbench.view.follow import Follower
 from tests.helpers.browser import CHROMIUM, opened
-from tests.helpers.cells import run_quietly
-from tests.helpers.configs import QUICK, SMALL, config
-from tests.helpers.paths import ROOT
+from tests.helpers.cells import PulledPlugError, run_quietly
+from tests.helpers.configs import QUICK, config
 from tests.helpers.waiting import waited
+
+
+def interrupted(seconds: float) -> None:
+    """Ctrl-C while there is nothing to show."""
+    raise KeyboardInterrupt
 
 
 @pytest.mark.parametrize(
@@ -84,43 +84,34 @@ def test_a_checkpoint_that_is_none_is_waited_for(tdg_folder, tmp_path, capsys, k
     make[kind](path)
     why = {"fifo": "it is a FIFO", "link": "it leads out of its folder", "bytes": "it is no file of torch.save"}
 
-    def end(seconds):
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
-        Follower(experiment).next(end)
+        Follower(experiment).next(interrupted)
     assert why[kind] in capsys.readouterr().out
 
 
-def test_a_real_training_is_followed_until_it_ends(tmp_path, data_root, capsys):
-    words = [*SMALL, "budget=demo", "prior=synthetic", "budget.iterations=1000000", "budget.plateau=null"]
-    words += ["checkpoint=0.2", "method=3dgs", "scene=turntable", f"data.root={data_root}"]
-    experiment = tmp_path / "results" / "single"
-    experiment.mkdir(parents=True)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    follower, run = Follower(experiment), None
+def test_a_training_that_ends_before_its_result_is_told(tmp_path, data_root, monkeypatch, capsys):
+    experiment, write_if_due, found = tmp_path / "single", Checkpoint.write_if_due, []
+    experiment.mkdir()
+    follower = Follower(experiment)
+    with pytest.raises(KeyboardInterrupt):
+        follower.next(interrupted)
 
-    def start_or_wait(seconds):
-        nonlocal run
-        if run is None:
-            run = subprocess.Popen([sys.executable, "-m", "tdgbench", *words], cwd=tmp_path, env=environment)
-        assert run.poll() is None
-        time.sleep(0.1)
+    def look_and_die(self, log):
+        self._next = 0.0
+        write_if_due(self, log)
+        if log.iterations == 5:
+            found.append(follower.next(pytest.fail)["single"])
+            raise PulledPlugError
 
-    try:
-        states = [follower.next(start_or_wait)["single"].state for _ in range(3)]
-        run.send_signal(signal.SIGINT)
-        run.wait(60)
-        last = follower.next(pytest.fail)["single"]
-    finally:
-        if run is not None:
-            run.kill()
-    iterations = [int(state.split()[1].rstrip(",").replace(",", "")) for state in states]
-    assert iterations == sorted(set(iterations)) and all(" Gaussians at " in state for state in states)
+    monkeypatch.setattr(Checkpoint, "write_if_due", look_and_die)
+    cfg = config(*QUICK, "method=3dgs", "scene=turntable", f"data.root={data_root}", f"results={tmp_path}")
+    with pytest.raises(PulledPlugError):
+        run_quietly(cfg)
+    last = follower.next(pytest.fail)["single"]
+    assert found[0].state.startswith("iteration 5, 300 Gaussians at ")
     assert last.state == "it has no result, and does not run"
-    said = capsys.readouterr().out.splitlines()
-    assert said[0] == f"no cell of {experiment} runs or is finished"
-    assert said[-1] == f"{last.record.title}: {last.state}" and len(said) >= 5
+    states = [f"{last.record.title}: {one.state}" for one in (found[0], last)]
+    assert capsys.readouterr().out.splitlines() == [f"no cell of {experiment} runs or is finished", *states]
 
 
 def test_a_cell_without_a_checkpoint_and_a_folder_that_is_none(small_results, tdg_folder, capsys):
