@@ -23,11 +23,10 @@ from tdgbench.site.plot import plot
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows, doubts_of
 from tdgbench.tables.cell import Cell
-from tdgbench.tables.claims import check_all, load_claims
-from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
+from tdgbench.tables.claims import judge_claims, load_claims
+from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
 from tdgbench.tables.measures import COLUMNS, MEASURES
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
-from tdgbench.tables.published import published_ablation, published_main
 
 HEADS = [MEASURES[name].title for name in COLUMNS]
 
@@ -111,7 +110,7 @@ class _Site:
         self.pages += 1
         text = self.environment.get_template(template).render(root=root, **content)
         for pack in self.packs:
-            text = text.replace(f"{pack.tables.folder.parent}/", "")
+            text = text.replace(f"{pack.tables.results.folder}/", "")
         return text.encode()
 
 
@@ -159,14 +158,12 @@ def reading_of(method: str, packs: Sequence[Pack]) -> str:
     return "\n".join(f"{name}: {json.dumps(value)}" for name, value in named.items())
 
 
-def _claims(packs: Sequence[Pack], names: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
+def _claims(packs: Sequence[Pack], names: Sequence[str]) -> dict[str, list[JudgedClaim]]:
     """Return the claims that name each method, with verdicts on the published numbers and on those of all packs."""
-    published = ClaimEvidence(published_main(), published_ablation(), printed=True)
-    claims = load_claims()
-    judged = check_all(claims, published, evidence_of([pack.tables.folder.parent for pack in packs])).to_dict("records")
-    pair = [*methods.paper_pair()]
-    named = [{*claim.get("methods", pair), *claim.get("against", ())} for claim in claims]
-    return {name: [row for row, of in zip(judged, named, strict=True) if name in of] for name in names}
+    claims, pair = load_claims(), methods.paper_pair()
+    judged = judge_claims(evidence_of([pack.tables.results.folder for pack in packs]), claims)
+    named = [{*(claim.methods or pair), *claim.against} for claim in claims]
+    return {name: [one for one, of_claim in zip(judged, named, strict=True) if name in of_claim] for name in names}
 
 
 def _notes(cells: Sequence[Cell]) -> dict[str, list[str]]:

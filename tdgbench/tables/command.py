@@ -13,17 +13,14 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import pandas as pd
-
 from tdgbench.files import write_text
 from tdgbench.scoring.backbones import SPECS
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.claims import check_all, load_claims
-from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
+from tdgbench.tables.claims import claims_table, judge_claims
+from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
 from tdgbench.tables.findings import claims_in_words
 from tdgbench.tables.palette import COLUMN, image_values, palette_notes
-from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.results import read_results
 from tdgbench.tables.sensitivity import Weights, sensitivity
 from tdgbench.tables.show import show_claims, show_findings, show_problems, show_sensitivity, show_tables
@@ -88,17 +85,17 @@ def _claims(experiments: list[Path]) -> int:
     return int(bool(problems))
 
 
-def write_claims(experiments: list[Path]) -> pd.DataFrame:
+def write_claims(experiments: list[Path]) -> list[JudgedClaim]:
     """Check the paper's claims against the published tables and against all cells of the experiments together.
 
     Write them to each experiment. Raises ValueError for an empty experiment.
     """
     ours = evidence_of(experiments) if experiments else None
-    judged = check_all(load_claims(), ClaimEvidence(published_main(), published_ablation(), printed=True), ours)
+    judged = judge_claims(ours)
     for experiment in experiments:
         folder = experiment / "tables"
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "claims.csv", as_csv(judged, as_is=("published_seen", "ours_seen")))
+        write_text(folder / "claims.csv", as_csv(claims_table(judged), as_is=("published_seen", "ours_seen")))
     return judged
 
 

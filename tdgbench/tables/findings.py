@@ -5,14 +5,13 @@ They count what the tables hold. Nothing is computed or judged here.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import pandas as pd
 
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
-from tdgbench.tables.claims import THE_PAPER
-from tdgbench.tables.claims.evidence import FAILS, HOLDS
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, THE_PAPER, JudgedClaim
 from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.long_table import NO_RECORD
 from tdgbench.tables.measures import ABLATION, AVERAGE, MEASURES, OVERALL, PUBLISHED, PUBLISHED_SCORES, as_text
@@ -80,24 +79,21 @@ def published(differences: pd.DataFrame) -> str:
     return ", ".join(parts) + (f": {'; '.join(advice)}" if advice else "") + missing
 
 
-def claims_in_words(claims: pd.DataFrame) -> list[str]:
-    """Say how many of the paper's claims hold, and of those of other papers. claims: from `check_all`."""
-    of_paper = claims["paper"] == THE_PAPER
-    return [
-        f"{evidence}, {_counted(claims.loc[rows, side], whose)}"
-        for evidence, side, rows, whose in (
-            ("By the published tables", "published", of_paper, "the paper's"),
-            ("By our results", "ours", of_paper, "the paper's"),
-            ("By our results", "ours", ~of_paper, "other papers'"),
-        )
-        if rows.any()
+def claims_in_words(claims: Sequence[JudgedClaim]) -> list[str]:
+    """Say how many of the paper's claims hold, and of those of other papers."""
+    of_paper = [claim for claim in claims if claim.paper == THE_PAPER]
+    others = [claim for claim in claims if claim.paper != THE_PAPER]
+    counted = [
+        ("By the published tables", [claim.published for claim in of_paper], "the paper's"),
+        ("By our results", [claim.ours for claim in of_paper], "the paper's"),
+        ("By our results", [claim.ours for claim in others], "other papers'"),
     ]
-
-
-def _counted(verdicts: pd.Series, whose: str) -> str:
-    counts = verdicts.value_counts().reindex([HOLDS, FAILS, UNDECIDED_CLAIM], fill_value=0)
-    text = f"{counts[HOLDS]} of {whose} {len(verdicts)} claims hold, {counts[FAILS]} fail"
-    return f"{text}, {counts[UNDECIDED_CLAIM]} are undecided"
+    return [
+        f"{evidence}, {verdicts.count(HOLDS)} of {whose} {len(verdicts)} claims hold, {verdicts.count(FAILS)} fail, "
+        f"{verdicts.count(UNDECIDED_CLAIM)} are undecided"
+        for evidence, verdicts, whose in counted
+        if verdicts
+    ]
 
 
 def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import groupby
 
 import pandas as pd
@@ -11,7 +11,7 @@ from rich.text import Text
 
 from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
-from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
 from tdgbench.tables.long_table import initial_points, protocol_notes
 from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, MEASURES, PUBLISHED, as_text
 from tdgbench.tables.palette import MARK, palette_notes, with_mark
@@ -71,17 +71,16 @@ def show_tables(tables: Tables) -> None:
             say(f"{text}; {verdicts_in_words(group)}")
 
 
-def show_claims(claims: pd.DataFrame) -> None:
+def show_claims(claims: Iterable[JudgedClaim]) -> None:
     """Print each claim with its findings on the published table and on our results."""
     colors = {HOLDS: "green", FAILS: "red", UNDECIDED: "dim"}
     widest = None if console().is_terminal else PROSE
     heads = ("claim", "published table", "our results")
     table = Table(*(Column(head, max_width=widest) for head in heads), show_lines=True)
-    for row in claims.to_dict("records"):
-        sides = [
-            Text.assemble((row[side], colors[row[side]]), f": {row[f'{side}_seen']}") for side in ("published", "ours")
-        ]
-        table.add_row(Text(f"{row['paper']}: {row['said']}"), *sides)
+    for claim in claims:
+        findings = ((claim.published, claim.published_seen), (claim.ours, claim.ours_seen))
+        sides = [Text.assemble((verdict, colors[verdict]), f": {grounds}") for verdict, grounds in findings]
+        table.add_row(Text(f"{claim.paper}: {claim.said}"), *sides)
     console().print(table)
 
 

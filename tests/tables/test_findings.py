@@ -10,7 +10,7 @@ from tdgbench.cells.record import Failure, read_all
 from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
 from tdgbench.tables.findings import claims_in_words, published
 from tests.helpers.records import published_as_records, write, write_ablation
 
@@ -176,8 +176,13 @@ def test_readings_of_one_seed(tmp_path):
 
 
 def test_claims():
-    papers, published = ["TDg", "TDg", "TDg", "MMOne"], [HOLDS, HOLDS, FAILS, UNDECIDED]
-    claims = pd.DataFrame({"paper": papers, "published": published, "ours": [UNDECIDED, HOLDS, UNDECIDED, FAILS]})
+    verdicts = [
+        ("TDg", HOLDS, UNDECIDED),
+        ("TDg", HOLDS, HOLDS),
+        ("TDg", FAILS, UNDECIDED),
+        ("MMOne", UNDECIDED, FAILS),
+    ]
+    claims = [JudgedClaim("", "", "", paper, published, "", ours, "") for paper, published, ours in verdicts]
     assert claims_in_words(claims) == [
         "By the published tables, 2 of the paper's 3 claims hold, 1 fail, 0 are undecided",
         "By our results, 1 of the paper's 3 claims hold, 0 fail, 2 are undecided",

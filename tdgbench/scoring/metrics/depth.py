@@ -70,28 +70,17 @@ def _known(depth: np.ndarray, view: View) -> np.ndarray:
 
 
 DEPTH_ABS_REL = ViewMetric(
-    name="depth_abs_rel",
-    label="depth error",
-    meaning="mean of |z − true z| / true z",
-    order=90,
-    needs="true depth",
+    name="depth_abs_rel", label="depth error", meaning="mean of |z − true z| / true z", order=90, needs="true depth",
     of_view=lambda shown: depth_abs_rel(*shown.depths()),
-)
+)  # fmt: skip
 FLOATERS = ViewMetric(
-    name="floaters",
-    label="floaters",
-    meaning="share of pixels more than 10 % nearer than the true surface",
-    order=100,
-    limits=(0.0, 1.0),
-    needs="true depth",
-    of_view=lambda shown: floater_share(*shown.depths()),
-)
+    name="floaters", label="floaters", meaning="share of pixels more than 10 % nearer than the true surface",
+    order=100, limits=(0.0, 1.0), needs="true depth", of_view=lambda shown: floater_share(*shown.depths()),
+)  # fmt: skip
 DEPTH_INCONSISTENCY = ViewMetric(
-    name="depth_inconsistency",
-    label="depth inconsistency",
-    meaning="median relative difference of the depths of neighbouring test views",
-    order=110,
+    name="depth_inconsistency", label="depth inconsistency",
+    meaning="median relative difference of the depths of neighbouring test views", order=110,
     needs="two test views that overlap",
     verified_to=1e-3,  # processors round depths differently
     of_view=_against_nearest,
-)
+)  # fmt: skip

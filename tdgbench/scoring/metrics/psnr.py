@@ -52,21 +52,11 @@ def _of_view(shown: ScoredView) -> float:
 
 
 PSNR = ImageMetric(
-    name="psnr",
-    label="PSNR",
-    meaning="peak signal-to-noise ratio, over all channels",
-    order=10,
-    **IN_DB,
-    in_main_table=True,
-    of_every_modality=True,
-    on_training_views=True,
-    of_images=lambda pair: psnr(*pair.pixels),
-)
+    name="psnr", label="PSNR", meaning="peak signal-to-noise ratio, over all channels", order=10, **IN_DB,
+    in_main_table=True, of_every_modality=True, on_training_views=True, of_images=lambda pair: psnr(*pair.pixels),
+)  # fmt: skip
 CHANNEL_PSNR = ViewMetric(
-    name="channel_psnr",
-    label="PSNR by channel",
-    meaning="mean of the channels' PSNR, of renders that are not rounded to 8 bits",
-    order=40,
-    **IN_DB,
+    name="channel_psnr", label="PSNR by channel",
+    meaning="mean of the channels' PSNR, of renders that are not rounded to 8 bits", order=40, **IN_DB,
     of_view=_of_view,
-)
+)  # fmt: skip

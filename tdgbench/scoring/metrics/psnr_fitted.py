@@ -69,21 +69,13 @@ def psnr_right_half(image: np.ndarray, target: np.ndarray, valid: np.ndarray | N
 
 
 PSNR_AFFINE = ImageMetric(
-    name="psnr_affine",
-    label="PSNR after gain and offset",
-    meaning="PSNR after the gain and offset of each test view that fit it best",
-    order=42,
-    **IN_DB,
-    fits_to_test_view="gain and offset",
-    of_images=lambda pair: psnr_affine(*pair.pixels),
-)
+    name="psnr_affine", label="PSNR after gain and offset",
+    meaning="PSNR after the gain and offset of each test view that fit it best", order=42, **IN_DB,
+    fits_to_test_view="gain and offset", of_images=lambda pair: psnr_affine(*pair.pixels),
+)  # fmt: skip
 PSNR_RIGHT_HALF = ImageMetric(
-    name="psnr_right_half",
-    label="right half",
-    meaning="PSNR of each test view's right half, after the gain and offset that fit its left half best",
-    order=44,
-    **IN_DB,
-    fits_to_test_view="gain and offset, to the left half",
-    needs="valid pixels in both halves",
+    name="psnr_right_half", label="right half",
+    meaning="PSNR of each test view's right half, after the gain and offset that fit its left half best", order=44,
+    **IN_DB, fits_to_test_view="gain and offset, to the left half", needs="valid pixels in both halves",
     of_images=lambda pair: psnr_right_half(pair.image, pair.target, pair.valid),
-)
+)  # fmt: skip

@@ -81,40 +81,22 @@ def _of_all_views(shown: ScoredView) -> float:
 
 
 BARELY_SEEN = ViewMetric(
-    name="barely_seen",
-    label="barely seen",
-    meaning="share of pixels that training views determine less than one view from the same place would",
-    order=120,
-    limits=(0.0, 1.0),
-    needs="Gaussians",
+    name="barely_seen", label="barely seen",
+    meaning="share of pixels that training views determine less than one view from the same place would", order=120,
+    limits=(0.0, 1.0), needs="Gaussians",
     of_view=lambda shown: float(is_barely_seen(at_valid(shown.valid, shown.rendered.known_determinacy)).mean()),
-)
+)  # fmt: skip
 PSNR_BARELY_SEEN = ViewMetric(
-    name="psnr_barely_seen",
-    label="PSNR, barely seen",
-    meaning="PSNR over all barely-seen pixels of the test views",
-    order=124,
-    **IN_DB,
-    needs="Gaussians, barely-seen pixels",
-    of_view=lambda shown: psnr_where(shown, barely=True),
-)
+    name="psnr_barely_seen", label="PSNR, barely seen", meaning="PSNR over all barely-seen pixels of the test views",
+    order=124, **IN_DB, needs="Gaussians, barely-seen pixels", of_view=lambda shown: psnr_where(shown, barely=True),
+)  # fmt: skip
 PSNR_WELL_SEEN = replace(
-    PSNR_BARELY_SEEN,
-    name="psnr_well_seen",
-    label="PSNR, well seen",
-    meaning="PSNR over all pixels of the test views that are not barely seen",
-    order=122,
-    needs="Gaussians, well-seen pixels",
-    of_view=lambda shown: psnr_where(shown, barely=False),
-)
+    PSNR_BARELY_SEEN, name="psnr_well_seen", label="PSNR, well seen",
+    meaning="PSNR over all pixels of the test views that are not barely seen", order=122,
+    needs="Gaussians, well-seen pixels", of_view=lambda shown: psnr_where(shown, barely=False),
+)  # fmt: skip
 GUESS_CORRELATION = ViewMetric(
-    name="guess_correlation",
-    label="guesses and errors",
-    meaning="rank correlation of 1 − determinacy and the error, over the pixels of all test views",
-    order=126,
-    digits=2,
-    higher_is_better=True,
-    limits=(-1.0, 1.0),
-    needs="Gaussians",
-    of_view=_of_all_views,
-)
+    name="guess_correlation", label="guesses and errors",
+    meaning="rank correlation of 1 − determinacy and the error, over the pixels of all test views", order=126,
+    digits=2, higher_is_better=True, limits=(-1.0, 1.0), needs="Gaussians", of_view=_of_all_views,
+)  # fmt: skip

@@ -59,16 +59,9 @@ def _blur(image: np.ndarray) -> np.ndarray:
 
 
 SSIM = ImageMetric(
-    name="ssim",
-    label="SSIM",
-    meaning="structural similarity",
-    order=20,
+    name="ssim", label="SSIM", meaning="structural similarity", order=20,
     overall_digits=4,  # as the paper prints its overall average
-    higher_is_better=True,
-    limits=(-1.0, 1.0),
-    in_main_table=True,
-    of_every_modality=True,
-    on_training_views=True,
+    higher_is_better=True, limits=(-1.0, 1.0), in_main_table=True, of_every_modality=True, on_training_views=True,
     options=("ssim_border",),
     of_images=lambda pair: ssim(pair.image, pair.target, pair.convention.ssim_border, pair.valid),
-)
+)  # fmt: skip

@@ -99,33 +99,18 @@ def _line(sums: np.ndarray) -> tuple[float, float]:
 
 
 MAE_DEGC = ViewMetric(
-    name="mae_degC",
-    label="temperature error",
-    meaning="mean absolute error of the temperatures",
-    order=80,
-    unit="°C",
-    needs="a temperature range, gray images",
-    verified_to=1e-6,
-    of_view=mae_degC,
-)
+    name="mae_degC", label="temperature error", meaning="mean absolute error of the temperatures", order=80, unit="°C",
+    needs="a temperature range, gray images", verified_to=1e-6, of_view=mae_degC,
+)  # fmt: skip
 MAE_DEGC_WITHOUT_OFFSET = ViewMetric(
-    name="mae_degC_without_offset",
-    label="temperature error without offset",
-    meaning="mean absolute error of the temperatures after the offset of each test view that makes it least",
-    order=82,
-    unit="°C",
-    fits_to_test_view="offset",
-    needs="a temperature range, gray images",
-    verified_to=1e-6,
+    name="mae_degC_without_offset", label="temperature error without offset",
+    meaning="mean absolute error of the temperatures after the offset of each test view that makes it least", order=82,
+    unit="°C", fits_to_test_view="offset", needs="a temperature range, gray images", verified_to=1e-6,
     of_view=mae_degC_without_offset,
-)
+)  # fmt: skip
 PSNR_TRUE = ViewMetric(
-    name="psnr_true",
-    label="PSNR to true temperatures",
-    meaning="PSNR to the true temperatures after one gain and one offset for all test views",
-    order=44,
-    **IN_DB,
-    fits_to_test_view="gain and offset, common to all test views",
-    needs="true temperatures, gray images",
+    name="psnr_true", label="PSNR to true temperatures",
+    meaning="PSNR to the true temperatures after one gain and one offset for all test views", order=44, **IN_DB,
+    fits_to_test_view="gain and offset, common to all test views", needs="true temperatures, gray images",
     of_view=psnr_true,
-)
+)  # fmt: skip

@@ -5,78 +5,87 @@ A claim `holds`, `fails`, or is `undecided` where the evidence lacks its numbers
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pandas as pd
 from omegaconf import OmegaConf
+from pydantic import TypeAdapter
 
 from tdgbench.tables.between_papers import gain_against_spread
 from tdgbench.tables.claims import cells, main_table
-from tdgbench.tables.claims.evidence import UNDECIDED, Claim, ClaimEvidence, Finding, MissingError
+from tdgbench.tables.claims.evidence import UNDECIDED, Claim, ClaimEvidence, Finding, JudgedClaim, MissingError
 from tdgbench.tables.claims.quantities import QUANTITIES
-from tdgbench.tables.published import FOLDER
+from tdgbench.tables.published import FOLDER, published_ablation, published_main
 
-THE_PAPER = "TDg"  # of claims that name none
-Check = Callable[[Claim, ClaimEvidence], Finding]
-OF_TABLES: tuple[Check, ...] = (
-    main_table.relative_gain,
-    main_table.averages,
-    main_table.better_mostly,
-    main_table.better_scenes,
-    main_table.mixed,
-    main_table.minutes_saved,
-    main_table.within,
-    main_table.ablation_agrees,
-    main_table.averages_follow,
-    main_table.bold_follows,
-)
-OF_CELLS: tuple[Check, ...] = (
-    cells.better,
-    cells.better_average,
-    cells.better_init,
-    cells.random_fails,
-    cells.attributed,
-)
-CHECKS: dict[str, Check] = {check.__name__: check for check in (*OF_TABLES, *OF_CELLS)}  # type: ignore[attr-defined]
+
+class Check(NamedTuple):
+    """How a claim is checked. needs: fields of Claim that it reads. of_tables: on the main table, not on cells."""
+
+    run: Callable[[Claim, ClaimEvidence], Finding]
+    needs: tuple[str, ...] = ()
+    of_tables: bool = True
+
+
+CHECKS = {
+    "relative_gain": Check(main_table.relative_gain, ("metric", "percent")),
+    "averages": Check(main_table.averages, ("metric", "averages")),
+    "better_mostly": Check(main_table.better_mostly, ("dataset", "metrics")),
+    "better_scenes": Check(main_table.better_scenes, ("dataset", "metrics", "exceptions")),
+    "mixed": Check(main_table.mixed, ("dataset", "metrics")),
+    "minutes_saved": Check(main_table.minutes_saved, ("minutes",)),
+    "within": Check(main_table.within, ("dataset", "metric", "most")),
+    "ablation_agrees": Check(main_table.ablation_agrees, ("metrics",)),
+    "averages_follow": Check(main_table.averages_follow),
+    "bold_follows": Check(main_table.bold_follows),
+    "better": Check(cells.better, ("methods", "against", "margins"), of_tables=False),
+    "better_average": Check(cells.better_average, ("metrics",), of_tables=False),
+    "better_init": Check(cells.better_init, ("methods", "better", "margins"), of_tables=False),
+    "random_fails": Check(cells.random_fails, ("methods", "drop"), of_tables=False),
+    "attributed": Check(cells.attributed, ("share",), of_tables=False),
+}
 
 
 def load_claims(path: Path = FOLDER / "claims.yaml") -> list[Claim]:
-    """Load the claims. Raises ValueError for one without id, words, a known check, known quantities or their reason."""
-    claims: list[Claim] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
-    for claim in claims:
-        needed = {"id", "said", "where", "check", *(["reason"] if "margins" in claim else [])}
-        faults = [f"lacks {key}" for key in sorted(needed - set(claim))]
-        names = {claim.get("check"), *claim.get("margins", {})} - {None, *CHECKS, *QUANTITIES}
+    """Load the claims. Raises ValueError for one without id, words, a known check, what it reads, known quantities."""
+    entries: list[dict[str, Any]] = OmegaConf.to_container(OmegaConf.load(path))  # type: ignore[assignment]
+    for entry in entries:
+        reads = CHECKS[entry["check"]].needs if entry.get("check") in CHECKS else ()
+        needed = {"id", "said", "where", "check", *reads, *(["reason"] if "margins" in entry else [])}
+        faults = [f"lacks {key}" for key in sorted(needed - set(entry))]
+        names = {entry.get("check"), *entry.get("margins", {})} - {None, *CHECKS, *QUANTITIES}
         faults += [f"names {name!r}, which is no check or quantity" for name in sorted(names)]
         if faults:
-            raise ValueError(f"{path}: claim {claim.get('id', '?')} {' and '.join(faults)}")
-    return claims
+            raise ValueError(f"{path}: claim {entry.get('id', '?')} {' and '.join(faults)}")
+    return TypeAdapter(list[Claim]).validate_python(entries)
 
 
 def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check one claim. With `gain`, the average gain is compared with the spread between papers."""
-    check = CHECKS[claim["check"]]
+    check = CHECKS[claim.check]
     try:
-        finding = check(claim, evidence)
+        finding = check.run(claim, evidence)
     except MissingError as error:
         return Finding(UNDECIDED, str(error))
     parts = [finding.grounds]
-    if check in OF_TABLES:
+    if check.of_tables:
         parts.append(evidence.note)
-    if "gain" in claim:
-        metrics = claim["metrics"] if "metrics" in claim else [claim["metric"]]
-        parts.append(gain_against_spread(evidence.main, metrics))
+    if claim.gain:
+        parts.append(gain_against_spread(evidence.main, claim.metrics or [claim.metric]))
     return Finding(finding.verdict, "; ".join(part for part in parts if part))
 
 
-def check_all(claims: list[Claim], published: ClaimEvidence, ours: ClaimEvidence | None) -> pd.DataFrame:
-    """Return one row per claim: id, said, where, paper, and for the published table and ours verdict and grounds."""
-    rows = []
-    for claim in claims:
-        row = {key: claim[key] for key in ("id", "said", "where")} | {"paper": claim.get("paper", THE_PAPER)}
-        for side, evidence in (("published", published), ("ours", ours)):
-            finding = Finding(UNDECIDED, "no results") if evidence is None else check_claim(claim, evidence)
-            row |= {side: finding.verdict, f"{side}_seen": finding.grounds}
-        rows.append(row)
-    return pd.DataFrame(rows)
+def judge_claims(ours: ClaimEvidence | None, claims: Sequence[Claim] | None = None) -> list[JudgedClaim]:
+    """Judge claims by the published tables and by our results. claims: None for those of `load_claims`."""
+    published, judged = ClaimEvidence(published_main(), published_ablation(), printed=True), []
+    for claim in load_claims() if claims is None else claims:
+        by_print = check_claim(claim, published)
+        by_ours = Finding(UNDECIDED, "no results") if ours is None else check_claim(claim, ours)
+        judged.append(JudgedClaim(claim.id, claim.said, claim.where, claim.paper, *by_print, *by_ours))
+    return judged
+
+
+def claims_table(judged: Iterable[JudgedClaim]) -> pd.DataFrame:
+    """Return the rows as the table that claims.csv holds."""
+    return pd.DataFrame(judged, columns=list(JudgedClaim._fields))

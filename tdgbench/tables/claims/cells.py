@@ -1,12 +1,13 @@
 """Checks that compare trained cells pair by pair. Where the paper prints no such number, only our results decide.
 
 Each gain has its 95 % interval (`pairs.gain_interval`) and is judged against the claim's margin (`pairs.judge_gain`).
-Gains at different numbers of iterations are judged apart.
+Gains at different numbers of iterations are judged separately.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -24,8 +25,8 @@ from tdgbench.tables.claims.evidence import (
     published_lengths,
 )
 from tdgbench.tables.claims.pairs import (
+    CellPair,
     Interval,
-    Pair,
     Side,
     all_of,
     counts_in_words,
@@ -44,7 +45,7 @@ def better(claim: Claim, evidence: ClaimEvidence) -> Finding:
     margins: the least gain in each quantity: a difference in its unit, or a share where two cells are compared by
     their ratio (0.1: 10 % less). Combinations without pairs do not count.
     """
-    sides = [(Side(a, COLMAP), Side(b, COLMAP)) for a in claim["methods"] for b in claim["against"] if a != b]
+    sides = [(Side(a, COLMAP), Side(b, COLMAP)) for a in claim.methods for b in claim.against if a != b]
     return _compare(claim, evidence, sides)
 
 
@@ -61,8 +62,8 @@ def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
         }
         for m in methods.paper_pair()
     )
-    pairs = [Pair(cell, old[place]) for place, cell in new.items()]
-    findings = [part for metric in claim["metrics"] for part in _gain(claim, QUANTITIES[metric], 0.0, pairs)]
+    pairs = [CellPair(cell, old[place]) for place, cell in new.items()]
+    findings = [part for metric in claim.metrics for part in _gain(claim, QUANTITIES[metric], 0.0, pairs)]
     if not findings:
         raise MissingError(f"no pair of {' and '.join(methods.paper_pair())}")
     return all_of(findings)
@@ -71,14 +72,14 @@ def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
 def better_init(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that for each of `methods` the points named by `better` (colmap or random) beat the others.
 
-    Each kind of random points is judged apart. margins: as in `better`.
+    Each kind of random points is judged separately. margins: as in `better`.
     """
     _need_cells(claim, evidence)
     inits = dict.fromkeys(c.record.init for c in evidence.cells if c.record.init.startswith("random"))
     if not inits:
         raise MissingError("no cells from random points")
-    sides = [(Side(method, COLMAP), Side(method, init)) for method in claim["methods"] for init in inits]
-    if claim["better"] != COLMAP:
+    sides = [(Side(method, COLMAP), Side(method, init)) for method in claim.methods for init in inits]
+    if claim.better != COLMAP:
         sides = [(other, mine) for mine, other in sides]
     return _compare(claim, evidence, sides)
 
@@ -87,7 +88,7 @@ def random_fails(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that all `methods` lose at least `drop` dB of PSNR from random points: as printed, or pair by pair."""
     if evidence.printed:
         return main_table.ablation_drop(claim, evidence)
-    return better_init({**claim, "better": COLMAP, "margins": {"psnr": claim["drop"]}}, evidence)
+    return better_init(replace(claim, better=COLMAP, margins={"psnr": claim.drop}), evidence)
 
 
 def attributed(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -104,7 +105,7 @@ def attributed(claim: Claim, evidence: ClaimEvidence) -> Finding:
     scenes = [scene for scene, _ in links]
     chain = np.array([link for _, link in links])
     total = gain_interval(scenes, chain.sum(axis=1))
-    times = f"time TDg / MSMG {_ratio(total)}, {counts_in_words(total)}"
+    times = f"time TDg / MSMG {_ratio_text(total)}, {counts_in_words(total)}"
     if not total.low > 0:
         return Finding(UNDECIDED, f"no sure speed-up to attribute: {times}")
     named = zip(("fewer iterations", "no RGB model", "depth"), chain.T, strict=True)
@@ -112,14 +113,14 @@ def attributed(claim: Claim, evidence: ClaimEvidence) -> Finding:
         f"{name} {100 * gain_interval(scenes, link).mean / total.mean:.0f} %" for name, link in named if link.any()
     ]
     depth = gain_interval(scenes, chain[:, 2])
-    grounds = f"{times}; of its logarithm {', '.join(shares)}; depth alone multiplies time by {_ratio(depth)}"
-    return Finding(judge_gain(gain_interval(scenes, chain[:, 2] - claim["share"] * chain.sum(axis=1)), 0.0), grounds)
+    grounds = f"{times}; of its logarithm {', '.join(shares)}; depth alone multiplies time by {_ratio_text(depth)}"
+    return Finding(judge_gain(gain_interval(scenes, chain[:, 2] - claim.share * chain.sum(axis=1)), 0.0), grounds)
 
 
 def _need_cells(claim: Claim, evidence: ClaimEvidence) -> None:
     """Raise MissingError without cells."""
     if evidence.printed:
-        raise MissingError(f"the paper prints no {claim.get('unprinted', 'such number')}")
+        raise MissingError(f"the paper prints no {claim.unprinted or 'such number'}")
     if not evidence.cells:
         raise MissingError("no cells of ours")
 
@@ -129,39 +130,50 @@ def _compare(claim: Claim, evidence: ClaimEvidence, sides: Sequence[tuple[Side, 
     findings = []
     for mine, other in sides:
         pairs = make_pairs(evidence.cells, mine, other)
-        for name, margin in claim["margins"].items():
+        for name, margin in claim.margins.items():
             for budget in sorted({pair.mine.planned_iterations for pair in pairs}):
                 findings += _gain(
                     claim, QUANTITIES[name], margin, [p for p in pairs if p.mine.planned_iterations == budget]
                 )
     if not findings:
         sought = " or ".join(dict.fromkeys(f"{_name(a, b)} and {_name(b, a)}" for a, b in sides))
-        raise MissingError(f"no pair of {sought} with {', '.join(QUANTITIES[name].label for name in claim['margins'])}")
+        raise MissingError(f"no pair of {sought} with {', '.join(QUANTITIES[name].label for name in claim.margins)}")
     result = all_of(findings)
-    return Finding(result.verdict, "; ".join([result.grounds, *([claim["note"]] if "note" in claim else [])]))
+    return Finding(result.verdict, "; ".join([result.grounds, *([claim.note] if claim.note else [])]))
 
 
-def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[Pair]) -> list[Finding]:
+def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[CellPair]) -> list[Finding]:
     """Return the finding on one quantity of pairs with equal iterations; none where no pair has it."""
     if quantity.timed:
         pairs = [pair for pair in pairs if pair.mine.machine == pair.other.machine]
-    both = [(pair, numbers) for pair in pairs if (numbers := quantity.of(*pair, claim)) is not None]
+    both = [(pair, found) for pair in pairs if (found := quantity.numbers(*pair, claim)) is not None]
     if quantity.ratio:
-        both = [(pair, numbers) for pair, numbers in both if min(numbers) > 0]
+        both = [(pair, found) for pair, found in both if min(found) > 0]
     if not both:
         return []
-    scenes = [pair.mine.dataset_and_scene for pair, _ in both]
-    if quantity.ratio:
-        gain = gain_interval(scenes, [float(np.log(b / a)) for _, (a, b) in both])
-        verdict, between, value = judge_gain(gain, float(-np.log1p(-margin))), "/", _ratio(gain)
-    else:
-        sign = 1 if quantity.higher else -1
-        gain = gain_interval(scenes, [sign * (a - b) for _, (a, b) in both])
-        verdict, between, value = judge_gain(gain, margin), "−", _difference(gain, sign, quantity)
-    mine, other = (Side(cell.record.method, cell.record.init) for cell in both[0][0])
-    names = f"{_name(mine, other)} {between} {_name(other, mine)}"
-    lengths = " and ".join(str(budget) for budget in dict.fromkeys(cell.planned_iterations for cell in both[0][0]))
-    return [Finding(verdict, f"{quantity.label}, {names} at {lengths}: {value}, {counts_in_words(gain)}")]
+    scenes, numbers = [pair.mine.dataset_and_scene for pair, _ in both], [found for _, found in both]
+    gain, least = (_log_ratio if quantity.ratio else _difference)(quantity, scenes, numbers, margin)
+    cells = both[0][0]
+    mine, other = (Side(cell.record.method, cell.record.init) for cell in cells)
+    names = f"{_name(mine, other)} {'/' if quantity.ratio else '−'} {_name(other, mine)}"
+    lengths = " and ".join(str(budget) for budget in dict.fromkeys(cell.planned_iterations for cell in cells))
+    value = _ratio_text(gain) if quantity.ratio else _difference_text(gain, quantity)
+    grounds = f"{quantity.label}, {names} at {lengths}: {value}, {counts_in_words(gain)}"
+    return [Finding(judge_gain(gain, least), grounds)]
+
+
+def _log_ratio(
+    quantity: Quantity, scenes: Sequence[tuple[str, str]], numbers: Sequence[tuple[float, float]], margin: float
+) -> tuple[Interval, float]:
+    """Return the interval of log(other / mine), where lower is better, and the least gain for a share `margin`."""
+    return gain_interval(scenes, [float(np.log(b / a)) for a, b in numbers]), float(-np.log1p(-margin))
+
+
+def _difference(
+    quantity: Quantity, scenes: Sequence[tuple[str, str]], numbers: Sequence[tuple[float, float]], margin: float
+) -> tuple[Interval, float]:
+    """Return the interval of mine − other, with the sign of a gain, and the least gain."""
+    return gain_interval(scenes, [quantity.sign * (a - b) for a, b in numbers]), margin
 
 
 def _name(side: Side, other: Side) -> str:
@@ -169,14 +181,15 @@ def _name(side: Side, other: Side) -> str:
     return side.method if side.method != other.method else f"{side.method} from {side.init}"
 
 
-def _ratio(gain: Interval) -> str:
+def _ratio_text(gain: Interval) -> str:
     low, high = np.exp(-gain.high), np.exp(-gain.low)
     return f"{np.exp(-gain.mean):.2f}" + (f" [{low:.2f}, {high:.2f}]" if np.isfinite(gain.low) else "")
 
 
-def _difference(gain: Interval, sign: int, quantity: Quantity) -> str:
-    mean, *ends = (f"{sign * value:+.{quantity.digits}f}" for value in gain[:3])
-    low, high = ends if sign > 0 else reversed(ends)
+def _difference_text(gain: Interval, quantity: Quantity) -> str:
+    """Return mine − other, whatever sign is a gain."""
+    mean, *ends = (f"{quantity.sign * value:+.{quantity.digits}f}" for value in gain[:3])
+    low, high = ends if quantity.higher else reversed(ends)
     return mean + quantity.unit + (f" [{low}, {high}]" if np.isfinite(gain.low) else "")
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pandas as pd
+from pydantic import ConfigDict
 
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import Record, no_records
@@ -21,9 +22,56 @@ from tdgbench.tables.results import read_results
 HOLDS, FAILS, UNDECIDED = "holds", "fails", "undecided"
 
 
-# A claim of `paper_tables/claims.yaml`: its words, its check, and the numbers that the check reads, which its docstring
-# names. Numbers in quotes there are as printed, with the digits that are known.
-Claim = dict[str, Any]
+THE_PAPER = "TDg"  # of claims that name none
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """A claim of `paper_tables/claims.yaml`: its words, its check, and the numbers that the check reads.
+
+    Text that is a number is as printed, with the digits that are known. The docstring of a check says what it reads.
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    id: str
+    said: str
+    where: str
+    check: str
+    paper: str = THE_PAPER
+    reason: str = ""  # of `margins`
+    note: str = ""  # follows our finding
+    unprinted: str = ""  # number that the paper does not print
+    gain: str = ""  # `overall`: the average gain is compared with the spread between papers
+    metric: str = ""
+    metrics: list[str] = field(default_factory=list)
+    dataset: str | None = None  # None: all of them
+    methods: list[str] = field(default_factory=list)
+    against: list[str] = field(default_factory=list)  # methods
+    margins: dict[str, float] = field(default_factory=dict)  # by quantity
+    percent: str = ""
+    averages: dict[str, str] = field(default_factory=dict)  # by method
+    minutes: str = ""
+    exceptions: dict[str, int] = field(default_factory=dict)  # by metric
+    most: float = 0.0
+    drop: float = 0.0  # dB
+    better: str = ""  # initial points
+    level: float = 0.0
+    window: float = 0.0
+    share: float = 0.0
+
+
+class JudgedClaim(NamedTuple):
+    """A row of claims.csv: a claim with the verdict and its grounds by the published tables and by our results."""
+
+    id: str
+    said: str
+    where: str
+    paper: str
+    published: str
+    published_seen: str
+    ours: str
+    ours_seen: str
 
 
 class MissingError(Exception):

@@ -49,7 +49,7 @@ def _gain(new: float, old: float, metric: str) -> float:
 def relative_gain(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the average of `metric` is `percent` better."""
     _of_paper(evidence)
-    metric, percent = claim["metric"], claim["percent"]
+    metric, percent = claim.metric, claim.percent
     new, old = _pair(evidence, evidence.overall, metric)
     tolerance, half = _tolerance(evidence, metric, OVERALL), printed_half_unit(percent)
     gains = [_gain(new + a * tolerance, old + b * tolerance, metric) for a in (-1, 1) for b in (-1, 1)]
@@ -63,17 +63,18 @@ def relative_gain(claim: Claim, evidence: ClaimEvidence) -> Finding:
 
 
 def averages(claim: Claim, evidence: ClaimEvidence) -> Finding:
-    """Check that the averages of `metric` are those that the claim gives by method."""
+    """Check that the averages of `metric` are `averages`, which are by method."""
     _of_paper(evidence)
-    values = dict(zip(methods.paper_pair(), _pair(evidence, evidence.overall, claim["metric"]), strict=True))
-    fits = all(abs(v - float(claim[m])) <= printed_half_unit(claim[m]) for m, v in values.items())
+    values = dict(zip(methods.paper_pair(), _pair(evidence, evidence.overall, claim.metric), strict=True))
+    printed = claim.averages
+    fits = all(abs(v - float(printed[m])) <= printed_half_unit(printed[m]) for m, v in values.items())
     grounds = ", ".join(f"{methods.label(method)} {value:.4g}" for method, value in values.items())
     return Finding(HOLDS if fits else FAILS, grounds)
 
 
 def average_gains(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better in the average of each of `metrics`."""
-    gains = {metric: _gain(*_pair(evidence, evidence.overall, metric), metric) for metric in claim["metrics"]}
+    gains = {metric: _gain(*_pair(evidence, evidence.overall, metric), metric) for metric in claim.metrics}
     grounds = ", ".join(f"{metric} {gain:+.2f} %" for metric, gain in gains.items())
     return Finding(FAILS if min(gains.values()) <= 0 else HOLDS, f"{_label()} is better by {grounds}")
 
@@ -82,9 +83,9 @@ def minutes_saved(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that training takes `minutes` less on average."""
     _of_paper(evidence)
     new, old = _pair(evidence, evidence.overall, HOURS.name)
-    tolerance = 60 * 2 * _tolerance(evidence, HOURS.name, OVERALL) + printed_half_unit(claim["minutes"])
+    tolerance = 60 * 2 * _tolerance(evidence, HOURS.name, OVERALL) + printed_half_unit(claim.minutes)
     saved = 60 * (old - new)
-    return Finding(HOLDS if abs(saved - float(claim["minutes"])) <= tolerance else FAILS, f"{saved:.2f} min")
+    return Finding(HOLDS if abs(saved - float(claim.minutes)) <= tolerance else FAILS, f"{saved:.2f} min")
 
 
 def _scenes(evidence: ClaimEvidence, dataset: str | None) -> list[str]:
@@ -99,13 +100,13 @@ def _scenes(evidence: ClaimEvidence, dataset: str | None) -> list[str]:
 
 def better_scenes(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better at every scene of `dataset`, but for as many `exceptions` by metric."""
-    exceptions: dict[str, list[str]] = {metric: [] for metric in claim["metrics"]}
-    for scene in _scenes(evidence, claim["dataset"]):
+    exceptions: dict[str, list[str]] = {metric: [] for metric in claim.metrics}
+    for scene in _scenes(evidence, claim.dataset):
         for metric, texts in exceptions.items():
             new, old = _pair(evidence, scene, metric)
             if _gain(new, old, metric) <= 0:
                 texts.append(f"{scene} {old:.{digits(metric)}f} → {new:.{digits(metric)}f}")
-    fits = all(len(texts) <= claim["exceptions"].get(metric, 0) for metric, texts in exceptions.items())
+    fits = all(len(texts) <= claim.exceptions.get(metric, 0) for metric, texts in exceptions.items())
     parts = [f"{metric}: {', '.join(texts)}" for metric, texts in exceptions.items() if texts]
     return Finding(HOLDS if fits else FAILS, "not better: " + "; ".join(parts) if parts else "better everywhere")
 
@@ -115,7 +116,7 @@ def better_mostly(claim: Claim, evidence: ClaimEvidence) -> Finding:
     gains = _gains(claim, evidence)
     better, equal = [metric for metric, gain in gains if gain > 0], sum(gain == 0 for _, gain in gains)
     grounds = f"better in {len(better)} of {len(gains)} scenes × metrics, equal in {equal}"
-    by_metric = ", ".join(f"{metric} {better.count(metric)}" for metric in claim["metrics"])
+    by_metric = ", ".join(f"{metric} {better.count(metric)}" for metric in claim.metrics)
     return Finding(HOLDS if len(better) > len(gains) / 2 else FAILS, f"{grounds} ({by_metric})")
 
 
@@ -130,12 +131,12 @@ def mixed(claim: Claim, evidence: ClaimEvidence) -> Finding:
 def within(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that at every scene of `dataset` the two methods differ by at most `most`."""
     gaps = {}
-    for scene in _scenes(evidence, claim["dataset"]):
-        new, old = _pair(evidence, scene, claim["metric"])
+    for scene in _scenes(evidence, claim.dataset):
+        new, old = _pair(evidence, scene, claim.metric)
         gaps[scene] = new - old
     widest = max(gaps, key=lambda scene: abs(gaps[scene]))
-    tolerance = 2 * _tolerance(evidence, claim["metric"], widest)
-    over = [f"{scene} {gap:+.2f}" for scene, gap in gaps.items() if abs(gap) > claim["most"] + tolerance]
+    tolerance = 2 * _tolerance(evidence, claim.metric, widest)
+    over = [f"{scene} {gap:+.2f}" for scene, gap in gaps.items() if abs(gap) > claim.most + tolerance]
     grounds = ", ".join(over) if over else f"at most {gaps[widest]:+.2f} at {widest}"
     return Finding(FAILS if over else HOLDS, grounds)
 
@@ -143,13 +144,13 @@ def within(claim: Claim, evidence: ClaimEvidence) -> Finding:
 def ablation_drop(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that every method of the ablation loses at least `drop` dB of PSNR from random points."""
     drops = {}
-    for method in claim["methods"]:
+    for method in claim.methods:
         by_init = _by_init(evidence, method, "psnr")
         if not {"random", "colmap"} <= set(by_init.index):
             raise MissingError(f"no PSNR of {method} from random and from COLMAP points")
         drops[method] = float(by_init["colmap"] - by_init["random"])
     grounds = ", ".join(f"{method} loses {drop:.2f} dB" for method, drop in drops.items())
-    return Finding(HOLDS if min(drops.values()) >= claim["drop"] else FAILS, grounds)
+    return Finding(HOLDS if min(drops.values()) >= claim.drop else FAILS, grounds)
 
 
 def ablation_agrees(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -157,7 +158,7 @@ def ablation_agrees(claim: Claim, evidence: ClaimEvidence) -> Finding:
     if not evidence.printed:
         raise MissingError("our tables are made of the same cells")
     off = []
-    for metric in claim["metrics"]:
+    for metric in claim.metrics:
         for method in methods.paper_pair():
             there, here = _by_init(evidence, method, metric), _value(evidence, method, evidence.overall, metric)
             if abs(there["colmap"] - here) > 2 * _tolerance(evidence, metric, OVERALL):
@@ -203,7 +204,7 @@ def _of_paper(evidence: ClaimEvidence) -> None:
 
 def _gains(claim: Claim, evidence: ClaimEvidence) -> list[tuple[str, float]]:
     """Return metric and gain of the paper's method, percent, for each scene × metric of `dataset`."""
-    places = itertools.product(_scenes(evidence, claim["dataset"]), claim["metrics"])
+    places = itertools.product(_scenes(evidence, claim.dataset), claim.metrics)
     return [(metric, _gain(*_pair(evidence, scene, metric), metric)) for scene, metric in places]
 
 

@@ -20,7 +20,7 @@ class Side(NamedTuple):
     init: str
 
 
-class Pair(NamedTuple):
+class CellPair(NamedTuple):
     """Two cells that differ in method (and its prior) or in init alone."""
 
     mine: Cell
@@ -37,7 +37,7 @@ class Interval(NamedTuple):
     scenes: int
 
 
-def make_pairs(cells: Sequence[Cell], mine: Side, other: Side) -> list[Pair]:
+def make_pairs(cells: Sequence[Cell], mine: Side, other: Side) -> list[CellPair]:
     """Return cells with equal scene, data, split, seed, setup and iterations.
 
     A cell that two experiments hold counts once, as the first has it.
@@ -49,7 +49,7 @@ def make_pairs(cells: Sequence[Cell], mine: Side, other: Side) -> list[Pair]:
         for by_key, side in zip(sides, (mine, other), strict=True):
             if (record.method, record.init) == side:
                 by_key.setdefault(key, cell)
-    return [Pair(cell, sides[1][key]) for key, cell in sides[0].items() if key in sides[1]]
+    return [CellPair(cell, sides[1][key]) for key, cell in sides[0].items() if key in sides[1]]
 
 
 def gain_interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> Interval:

@@ -18,28 +18,33 @@ from tdgbench.tables.claims.evidence import Claim
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import MEASURES
 
-OneOf = Callable[[Cell, Claim], float | None]  # None or NaN: n/a
-PairOf = Callable[[Cell, Cell, Claim], tuple[float, float] | None]
+NumberOf = Callable[[Cell, Claim], float | None]  # None or NaN: n/a
+NumbersOf = Callable[[Cell, Cell, Claim], tuple[float, float] | None]
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of each of two cells; `of` gives both, or None where one lacks it.
+    """A number of each of two cells; `numbers` gives both, or None where one lacks it.
 
     ratio: two cells are compared by their ratio (lower is better), else by their difference. higher: whether higher is
     better. digits: of a difference. timed: it depends on the machine, so only cells of one machine compare.
     """
 
     label: str
-    of: PairOf
+    numbers: NumbersOf
     ratio: bool = False
     higher: bool = False
     digits: int = 4
     unit: str = ""
     timed: bool = False
 
+    @property
+    def sign(self) -> int:
+        """1 where higher is better, else −1."""
+        return 1 if self.higher else -1
 
-def _of_each(number: OneOf) -> PairOf:
+
+def _of_each(number: NumberOf) -> NumbersOf:
     def both(mine: Cell, other: Cell, claim: Claim) -> tuple[float, float] | None:
         a, b = number(mine, claim), number(other, claim)
         return None if a is None or b is None or np.isnan(a) or np.isnan(b) else (a, b)
@@ -51,7 +56,7 @@ def _measured(cell: Cell, name: str) -> float:
     return metric_value(cell.record, name)[0]
 
 
-def _of_measure(name: str) -> PairOf:
+def _of_measure(name: str) -> NumbersOf:
     return _of_each(lambda cell, _: _measured(cell, name))
 
 
@@ -71,14 +76,14 @@ def _inconsistency(mine: Cell, other: Cell, _claim: Claim) -> tuple[float, float
 
 
 def _changes(cell: Cell, _claim: Claim, names: tuple[str, ...]) -> float | None:
-    done = cell.record.parts.get("thermal")
-    return None if done is None else float(sum(done[name] for name in names))  # type: ignore[literal-required]
+    counts = [dict(cell.record.parts.get("thermal", {})).get(name) for name in names]
+    return None if None in counts else float(sum(counts))  # type: ignore[arg-type]
 
 
 def _metric(metric: str) -> Quantity:
     measure = MEASURES[metric]
-    places, of = measure.digits if measure.unit else 4, _of_measure(metric)
-    return Quantity(metric, of, higher=measure.higher_is_better, digits=places, unit=measure.suffix)
+    places, numbers = measure.digits if measure.unit else 4, _of_measure(metric)
+    return Quantity(metric, numbers, higher=measure.higher_is_better, digits=places, unit=measure.suffix)
 
 
 def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[float, float] | None:
@@ -94,7 +99,7 @@ def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[f
     start, best = min(curve.iloc[0] for curve in curves), min(curve.max() for curve in curves)
     if best <= start:
         return None
-    level = start + claim["level"] * (best - start)
+    level = start + claim.level * (best - start)
     return first_at(a, level, column), first_at(b, level, column)
 
 
@@ -115,13 +120,13 @@ def first_at(log: pd.DataFrame, level: float, column: str, score: str = "smoothe
 
 def psnr_drop(cell: Cell, claim: Claim) -> float | None:
     """Return the fall of training PSNR (dB) at the switch: its mean before, less its lowest value after."""
-    windows = _around_switch(cell, claim["window"], "smoothed_psnr")
+    windows = _around_switch(cell, claim.window, "smoothed_psnr")
     return None if windows is None else float(windows[0].mean() - windows[1].min())
 
 
 def loss_rise(cell: Cell, claim: Claim) -> float | None:
     """Return the rise of the thermal loss at the switch: its highest value after, over its mean before."""
-    windows = _around_switch(cell, claim["window"], "loss_thermal")
+    windows = _around_switch(cell, claim.window, "loss_thermal")
     return None if windows is None else float(windows[1].max() / windows[0].mean())
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from tdgbench.tables.claims import check_claim, load_claims
@@ -9,8 +11,8 @@ from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEviden
 from tdgbench.tables.published import published_ablation, published_main
 from tests.tables.claims.small_cells import cell
 
-CLAIMS = {claim["id"]: claim for claim in load_claims()}
-OF_METHODS = [name for name, claim in CLAIMS.items() if claim["check"] == "better"]
+CLAIMS = {claim.id: claim for claim in load_claims()}
+OF_METHODS = [name for name, claim in CLAIMS.items() if claim.check == "better"]
 PUBLISHED = ClaimEvidence(published_main(), published_ablation(), printed=True)
 
 
@@ -22,8 +24,8 @@ def sides(folder, claim, gains, **fields):
     """The claim's cells on one scene for each gain, all of its methods with the gain, all others with none."""
     made = []
     for scene, gain in zip("abcd", gains, strict=False):
-        made += [cell(folder, method, gain, scene=scene, **fields) for method in claim["methods"]]
-        made += [cell(folder, method, scene=scene, **fields) for method in claim["against"]]
+        made += [cell(folder, method, gain, scene=scene, **fields) for method in claim.methods]
+        made += [cell(folder, method, scene=scene, **fields) for method in claim.against]
     return made
 
 
@@ -53,14 +55,14 @@ def test_claims_that_compare_methods(tmp_path, name, gains, verdict):
     found = check_claim(claim, ours(*sides(tmp_path, claim, gains)))
     assert found.verdict == verdict, found.grounds
     expected = "one pair has no interval" if len(gains) == 1 else "3 pairs in 3 scenes"
-    assert expected in found.grounds and claim.get("note", "") in found.grounds
-    assert check_claim(claim, ours(*sides(tmp_path, {**claim, "against": []}, gains[:1]))).verdict == UNDECIDED
+    assert expected in found.grounds and claim.note in found.grounds
+    assert check_claim(claim, ours(*sides(tmp_path, replace(claim, against=[]), gains[:1]))).verdict == UNDECIDED
 
 
 @pytest.mark.parametrize("name", [*OF_METHODS, "random-overfits", "random-fits-training", "random-spoils-rgb"])
 def test_the_paper_prints_none_of_it(name):
     found = check_claim(CLAIMS[name], PUBLISHED)
-    assert found.verdict == UNDECIDED and found.grounds == f"the paper prints no {CLAIMS[name]['unprinted']}"
+    assert found.verdict == UNDECIDED and found.grounds == f"the paper prints no {CLAIMS[name].unprinted}"
 
 
 def test_lengths_are_judged_apart_and_all_have_to_hold(tmp_path):

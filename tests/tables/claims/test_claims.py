@@ -2,15 +2,13 @@
 
 import pytest
 
-from tdgbench.tables.claims import CHECKS, check_all, load_claims
+from tdgbench.tables.claims import CHECKS, claims_table, judge_claims, load_claims
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEvidence
-from tdgbench.tables.published import published_ablation, published_main
-
-PUBLISHED = ClaimEvidence(published_main(), published_ablation(), printed=True)
+from tdgbench.tables.published import published_main
 
 
 def test_the_published_tables_against_the_words():
-    found = check_all(load_claims(), PUBLISHED, None).set_index("id")
+    found = claims_table(judge_claims(None)).set_index("id")
     assert set(found.index[found["published"] == FAILS]) == {"psnr-better", "rgbt-better", "bold-follows"}
     assert (found["published"] == HOLDS).sum() == 13
     assert (found["published"] == UNDECIDED).sum() == 24
@@ -27,12 +25,12 @@ def test_the_published_tables_against_the_words():
 
 def test_what_is_missing_is_undecided():
     empty = ClaimEvidence(published_main().iloc[:0], None, printed=False)
-    found = check_all(load_claims(), PUBLISHED, empty).set_index("id")["ours"]
+    found = claims_table(judge_claims(empty)).set_index("id")["ours"]
     assert set(found.drop("bold-follows")) == {UNDECIDED}
 
 
 def test_every_check_has_a_claim():
-    assert {claim["check"] for claim in load_claims()} == set(CHECKS)
+    assert {claim.check for claim in load_claims()} == set(CHECKS)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +39,10 @@ def test_every_check_has_a_claim():
         ("- {id: x, said: y, where: z}", "claim x lacks check"),
         ("- {id: x, said: y, where: z, check: magic}", "claim x names 'magic', which is no check"),
         ("- {id: x, said: y, where: z, check: better, margins: {beauty: 1}}", "lacks reason and names 'beauty'"),
-        ("- {id: x, said: y, where: z, check: better, margins: {psnr: 1}}", "claim x lacks reason"),
+        (
+            "- {id: x, said: y, where: z, check: better, methods: [], margins: {psnr: 1}}",
+            "x lacks against and lacks reason",
+        ),
     ],
 )
 def test_broken_claims_are_named(tmp_path, wrong, message):

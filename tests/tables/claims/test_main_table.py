@@ -9,7 +9,7 @@ from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEviden
 from tdgbench.tables.published import published_ablation, published_main
 
 PUBLISHED = ClaimEvidence(published_main(), published_ablation(), printed=True)
-CLAIMS = {claim["id"]: claim for claim in load_claims()}
+CLAIMS = {claim.id: claim for claim in load_claims()}
 
 
 def changed(scene, metric, method, value, printed=False):

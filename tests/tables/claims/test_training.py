@@ -1,13 +1,16 @@
 """Levels reached and shocks at the switch, in logs made by hand."""
 
+from dataclasses import replace
+
 import pandas as pd
 import pytest
 
 from tdgbench.cells.record import Record
 from tdgbench.tables.cell import Cell
+from tdgbench.tables.claims.evidence import Claim
 from tdgbench.tables.claims.quantities import first_at, loss_rise, psnr_drop, time_to_level
 
-CLAIM = {"level": 0.5, "window": 0.1}
+CLAIM = Claim(id="", said="", where="", check="better", level=0.5, window=0.1)
 
 
 def with_log(folder, name, psnr, loss=None, decay_end=0.5):
@@ -50,14 +53,14 @@ def test_the_shock_is_looked_for_around_the_switch_alone(tmp_path):
     cell = with_log(tmp_path, "x", psnr, loss)
     assert psnr_drop(cell, CLAIM) == 30 - 32
     assert loss_rise(cell, CLAIM) == 2.5
-    assert psnr_drop(cell, {"window": 0.2}) == (20 + 30) / 2 - 5
-    assert psnr_drop(cell, {"window": 0.0}) is None
+    assert psnr_drop(cell, replace(CLAIM, window=0.2)) == (20 + 30) / 2 - 5
+    assert psnr_drop(cell, replace(CLAIM, window=0.0)) is None
 
 
 def test_the_switch_is_that_of_a_budget_that_expects_an_early_end(tmp_path):
     cell = with_log(tmp_path, "x", [20, 20, 30, 5, 34, 32, 31, 40, 40, 40])
     cell.record.config["budget"]["expected_iterations"] = 60  # the switch at 30
-    assert psnr_drop(cell, {"window": 0.2}) == 20 - 5
+    assert psnr_drop(cell, replace(CLAIM, window=0.2)) == 20 - 5
 
 
 def test_without_a_switch_there_is_no_shock(tmp_path):
