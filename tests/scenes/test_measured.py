@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from tdgbench.scenes import (
     Camera,
@@ -103,24 +102,6 @@ def test_memory_is_that_of_the_views(tmp_path, write):
     assert peak < 1.2 * total + 2 * masks + 2 * 4 * MOST_SAMPLES  # which percentiles are computed of
 
 
-def test_masks_hide_pixels_of_any_layout(small_scene, tmp_path):
-    folder = write_rgbt_scenes(small_scene, tmp_path / "Truck")
-    valid = np.ones((36, 48), bool)
-    valid[10:20, 30:] = False
-    write_mask(folder, "view001", valid)
-    write_mask(folder, "nobody", valid)
-    write_mask(folder, "view002", np.ones((36, 48), bool))
-    scene = load(folder)
-    views = {view.name: view for view in scene.views}
-    assert np.array_equal(views["view001"].valid, valid) and (views["view001"].thermal[~valid] == 0).all()
-    assert views["view002"].valid is None and views["view003"].valid is None
-    assert "masks/: black hides" in scene.assumed["masks"]
-    assert "1 masks belong to no view and are not used: nobody" in scene.notes
-    before = scene.fingerprint
-    write_mask(folder, "view001", ~valid)
-    assert load(folder).fingerprint != before
-
-
 def test_a_mask_is_resized_and_hides_what_it_touches(small_scene, tmp_path):
     folder = write_rgbt_scenes(small_scene, tmp_path / "Truck")
     valid = np.ones((72, 96), bool)
@@ -155,17 +136,3 @@ def test_masks_add_to_what_was_not_measured(small_gray_scene, tmp_path):
     view = next(view for view in load(folder).views if view.name == "view001")
     valid[:, :6] = False
     assert np.array_equal(view.valid, valid)
-
-
-def test_gray_images_of_three_channels_are_gray(small_gray_scene, tmp_path):
-    folder = write_rgbt_scenes(small_gray_scene, tmp_path / "cup")
-    one = load(folder)
-    assert one.channels == 1 and one.train[0].thermal.shape == (36, 48, 1)
-    three = load(folder, channels=3)
-    assert three.train[0].thermal.shape == (36, 48, 3)
-    assert np.array_equal(three.train[0].thermal[..., 1:2], one.train[0].thermal)
-    path = folder / "thermal" / "train" / "view001.jpg"
-    colored = np.asarray(Image.open(path)).copy()
-    colored[..., 0] = 255 - colored[..., 0]
-    Image.fromarray(colored).save(path)
-    assert load(folder).channels == 3

@@ -65,9 +65,13 @@ def test_webp_and_what_is_not_applied(tmp_path):
         (b"\0\0\0\x18ftypheic" + bytes(90), "an HEIF picture; convert it to PNG"),
         (b"\0\0\0\x18ftypisom" + bytes(90), "a video"),
         (b"GIF89a" + bytes(90), "a GIF"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n", "a pointer of Git LFS"),
     ],
 )
 def test_known_files_are_named(tmp_path, content, message):
     (tmp_path / "a.png").write_bytes(content)
     with pytest.raises(SceneError, match=rf"a\.png is {message}"):
+        decode(tmp_path / "a.png")
+    (tmp_path / "a.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n")
+    with pytest.raises(SceneError, match=r"a\.png cannot be read as an image: its content is of no known format"):
         decode(tmp_path / "a.png")

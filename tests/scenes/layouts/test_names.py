@@ -176,6 +176,8 @@ def test_masks(folder, file, inverted):
         expected = np.arange(48) >= 8 * (n + 1) if n < 4 else np.ones(48, bool)
         assert np.array_equal(np.ones((36, 48), bool) if view.valid is None else view.valid, np.tile(expected, (36, 1)))
     assert "4 files" in scene.assumed["masks"] and scene.notes == [] and scene.fingerprint != before
+    save_mask(folder / "masks" / "nobody.png", 8)
+    assert "1 masks belong to no view and are not used: nobody" in load(folder).notes
     save_mask(folder / "masks" / "view000.bmp", 8)
     with pytest.raises(SceneError, match=r"are both (masks of )?view"):
         load(folder)

@@ -1,11 +1,13 @@
+import io
 import shutil
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy import ndimage
 
 from tdgbench.scenes import FolderDataset, ReadOptions, RegisteredDataset, SceneError
-from tdgbench.scenes.layouts.thermalmix import PUBLISHED, published_range
+from tdgbench.scenes.layouts.thermalmix import BLOCK, PUBLISHED, filler_below, published_range
 from tdgbench.scenes.scene import TemperatureRange
 from tests.helpers.layouts import DISTORTIONS, celsius, write_downloaded_thermalmix, write_thermalmix
 from tests.helpers.scenes import load
@@ -32,18 +34,6 @@ def test_every_place_that_the_authors_loader_knows(small_gray_scene, tmp_path, m
     expected = celsius(original, small_gray_scene).clip(span.min, span.max)
     assert np.allclose(shown, expected, atol=1e-4)
     assert scene.assumed["layout"].startswith("ThermalMix: warped_thermal/") and "lost" in scene.notes[0]
-
-
-def test_the_first_place_is_taken(small_gray_scene, tmp_path):
-    folder = write_thermalmix(small_gray_scene, tmp_path / "lion", camera="PINHOLE")
-    shutil.copytree(folder / "colmap_sparse", folder / "sparse")
-    (folder / "sparse" / "0" / "cameras.bin").write_bytes(b"damaged")
-    shutil.copytree(folder / "rgb", folder / "images_8")
-    scene = load(folder)
-    assert len(scene.views) == 10
-    shutil.rmtree(folder / "colmap_sparse")
-    with pytest.raises(SceneError, match=r"sparse/0/cameras\.bin is damaged"):
-        load(folder)
 
 
 @pytest.mark.parametrize("camera", DISTORTIONS)
@@ -112,13 +102,6 @@ def test_the_range_is_that_of_the_training_views(small_gray_scene, tmp_path):
         load(folder, temperature=[900, 901])
     with pytest.raises(SceneError, match=r"data\.temperature=\[3, 2\]: min 3"):
         load(folder, temperature=[3, 2])
-
-
-def test_names_of_table_1(small_gray_scene, tmp_path):
-    write_thermalmix(small_gray_scene, tmp_path / "ThermalMix" / "lion")
-    for dataset in ("thermalmix", None):
-        scene = RegisteredDataset(str(tmp_path), ReadOptions(), dataset).load("Lion")
-        assert (scene.name, scene.dataset, scene.channels) == ("Lion", "ThermalMix", 1)
 
 
 BAD = [
@@ -285,3 +268,59 @@ def test_every_file_of_the_download_is_in_the_fingerprint(small_gray_scene, tmp_
         path.write_bytes(content + b" ")
         assert load(folder).fingerprint != before
         path.write_bytes(content)
+
+
+def test_gray_images_in_colours_are_an_error(small_gray_scene, tmp_path):
+    folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion")
+    path = folder / "warped_thermal" / "view003.jpg"
+    gray = np.asarray(Image.open(path).convert("L"))
+    Image.fromarray(np.stack([gray, gray, 255 - gray], axis=-1)).save(path)
+    with pytest.raises(SceneError, match=r"view003\.jpg is in colours, but temperatures are read from gray images"):
+        load(folder)
+
+
+H, W = 120, 160
+
+
+def levels(number: int, lowest: int = 30) -> np.ndarray:
+    """A textured image (H, W) uint8 of levels from `lowest` to 230, as of view `number`."""
+    texture = ndimage.gaussian_filter(np.random.default_rng(number).normal(size=(H, W)), 3)
+    texture = (texture - texture.min()) / np.ptp(texture)
+    return np.round(lowest + (230 - lowest) * texture).astype(np.uint8)
+
+
+def decoded(image: np.ndarray, quality: int) -> np.ndarray:
+    """The image as a JPEG keeps it."""
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, "JPEG", quality=quality)
+    return np.asarray(Image.open(file)).astype(np.float32) / 255
+
+
+def warped(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The image with black left of an oblique edge, of which a column is mixed; and the pixels with black in them."""
+    y, x = np.mgrid[:H, :W]
+    edge = 11 + y // 6
+    image = np.where(x < edge, 0, np.where(x == edge, image * 0.6, image)).astype(np.uint8)
+    return image, x <= edge
+
+
+@pytest.mark.parametrize(("quality", "number"), [(60, 0), (75, 1), (95, 2)])
+def test_all_that_a_filler_spoils_is_masked_and_no_more(quality, number):
+    """Outside the mask, an image is exactly what it is without a filler."""
+    image = levels(number)
+    with_filler, has_filler = warped(image)
+    alone, shown = decoded(image, quality), decoded(with_filler, quality)
+    mask = filler_below(shown, alone.min(), BLOCK)
+    assert mask[has_filler].all() and np.array_equal(shown[~mask], alone[~mask])
+    assert (mask & ~ndimage.binary_dilation(has_filler, iterations=BLOCK + 1, structure=np.ones((3, 3)))).sum() == 0
+    assert not np.array_equal(shown[~has_filler], alone[~has_filler])  # so growing was needed
+
+
+@pytest.mark.parametrize(("quality", "lowest"), [(50, 4), (75, 10), (95, 60), (50, 60)])
+def test_noise_below_the_minimum_is_no_filler(quality, lowest):
+    """A cold wall around a warm object: JPEG moves many pixels below the minimum of another JPEG of it."""
+    warm = np.hypot(*np.mgrid[-H // 2 : H // 2, -W // 2 : W // 2]) < 30
+    wall = np.random.default_rng(0).integers(lowest, lowest + 3, (H, W))
+    image = np.where(warm, 200, wall).astype(np.uint8)
+    shown, before = decoded(image, quality), decoded(image[:, ::-1][5:-3, 9:-3], 95)
+    assert not filler_below(np.roll(shown, 3, axis=1), before.min(), BLOCK).any()

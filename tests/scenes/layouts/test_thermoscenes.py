@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
-from tests.helpers.layouts import APPLIED, write_model, write_thermoscenes
+from tests.helpers.layouts import write_model, write_thermoscenes
 from tests.helpers.scenes import load
 
 
@@ -154,18 +154,3 @@ def test_a_damaged_file_is_one_error(small_gray_scene, tmp_path, name, content, 
     (folder / name).write_bytes(content)
     with pytest.raises(SceneError, match=message):
         load(folder)
-
-
-def test_points_that_cannot_be(small_gray_scene, tmp_path):
-    folder = write_thermoscenes(small_gray_scene, tmp_path / "cup")
-    path = folder / "sparse_pc.ply"
-    lines = path.read_text(encoding="utf-8").splitlines()
-    first = lines.index("end_header") + 1
-    lines[first] = "nan 0 0 1 2 3"
-    path.write_text("\n".join([*lines, ""]), encoding="utf-8")
-    with pytest.raises(SceneError, match="vertex 0 has a point that is not finite"):
-        load(folder)
-
-
-def test_the_applied_transform_is_a_rotation():
-    assert np.linalg.det(APPLIED[:, :3]) == 1

@@ -17,23 +17,10 @@ def scene_temperatures():
     return gaussian_filter(np.random.default_rng(1).uniform(12, 28, (36, 48)), 2)
 
 
-def test_a_camera_without_errors_adds_noise_alone():
-    degC, noise = scene_temperatures(), np.random.default_rng(2).normal(0, 0.05, (36, 48))
-    assert np.array_equal(drawn().shown(degC, 3, noise), degC + noise)
-
-
 def test_the_walk_is_smooth_and_reaches_its_largest_value():
     offsets = drawn(walk_degC=4.0).offsets
     assert np.abs(offsets).max() == pytest.approx(4.0) and offsets.mean() == pytest.approx(0)
     assert np.abs(np.diff(offsets)).max() < 1.5
-
-
-def test_the_shutter_sets_the_walk_back():
-    steps = np.diff(drawn(walk_degC=4.0, shutter_views=10).offsets)
-    at_closures = np.abs(steps[[9, 19, 29]])
-    assert at_closures.max() > 3 * np.abs(np.delete(steps, [9, 19, 29])).max()
-    offsets = drawn(walk_degC=4.0, shutter_views=10).offsets
-    assert np.allclose(offsets[::10], offsets[0])
 
 
 def test_response_follows_the_model():
@@ -78,12 +65,6 @@ def test_limits_of_gain_control_leave_out_tails():
     assert limits(degC) == pytest.approx((0.01, 9.99), abs=0.01)
     low, high = limits(np.full((2, 2), 7.0))
     assert low == 7 and high > low
-
-
-def test_files_are_in_degC_if_the_camera_has_errors():
-    assert [ThermalErrors(**errors).files for errors in ({}, {"gain": 0.1}, {"encoding": "agc"})] == [
-        "range", "degC", "agc"
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("wrong", ["gain=2", "encoding=jpeg", "shutter_views=-1", "walk_degC=nan"])

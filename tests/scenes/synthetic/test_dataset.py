@@ -13,11 +13,6 @@ def load(root, **errors):
     return SyntheticDataset(str(root), ReadOptions(), 48, 36, 10, 300, errors=CaptureErrors(**errors)).load("turntable")
 
 
-def test_unknown_scene(tmp_path):
-    with pytest.raises(SceneError, match="no synthetic scene moon"):
-        SyntheticDataset(str(tmp_path), ReadOptions()).load("moon")
-
-
 def test_a_view_past_the_end_of_the_world_is_an_error(tmp_path):
     tall = SyntheticDataset(tmp_path, ReadOptions(), width=16, height=80, views=2)
     with pytest.raises(SceneError, match=r"pixels of a view show nothing.*dataset\.loader\.width"):

@@ -6,7 +6,7 @@ from hydra.utils import instantiate
 from scipy.ndimage import map_coordinates
 
 from tdgbench.bench.options import OptionError, check_options
-from tdgbench.scenes import Camera, ReadOptions, SceneError
+from tdgbench.scenes import ReadOptions, SceneError
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, TrueRig
 from tdgbench.scenes.synthetic.dataset import FOLDER, RIG, read_truth
 from tests.helpers.configs import config
@@ -72,13 +72,6 @@ def test_undistorted_places_are_distorted_as_in_opencv():
     straight = (rig.undistorted(pixels(), K) - K[:2, 2]) / 90.0
     r2 = (straight**2).sum(axis=1, keepdims=True)
     assert straight * (1 - 0.25 * r2 + 0.08 * r2**2) * 90.0 + K[:2, 2] == pytest.approx(pixels(), abs=1e-6)
-
-
-def test_the_thermal_camera_stands_where_the_offset_says():
-    given = Camera(np.diag([90.0, 90.0, 1.0]), np.eye(4)[[1, 2, 0, 3]], 96, 72)
-    camera = RIG_OF_ALL.camera(given)
-    assert given.world_to_camera[:3, :3] @ camera.center == pytest.approx([0.3, -0.1, 0.05])
-    assert camera.K[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx([99, 99, 1.92, 0.96])
 
 
 def test_a_lens_that_folds_the_image_is_an_error(tmp_path):

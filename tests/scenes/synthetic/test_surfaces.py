@@ -14,21 +14,6 @@ def hit(solid, origin, rays):
 
 
 @pytest.mark.parametrize(
-    ("solid", "height"),
-    [(Sphere((0, 0, 1), 0.5), 1.5), (Cuboid((0, 0, 1), (1, 2, 0.25), 0.7), 1.25), (Cylinder((0, 0, 0), 1, 0.75), 0.75),
-     (Cuboid((0, 0, 0.5), (1, 1, 0)), 0.5), (Hills(np.array([[0.5], [0], [0], [np.pi / 2]])), 0.5)],
-)  # fmt: skip
-def test_rays_from_above(solid, height):
-    eye, rays = np.array([0.1, 0.1, 5.0]), np.array([[-0.02, -0.02, -1.0]]) * 2
-    points = eye + hit(solid, eye, rays)[:, None] * rays
-    (normal,) = solid.normals(points)
-    assert points[0, 2] == pytest.approx(height, abs=0.02)
-    assert normal[2] > 0.95 and np.linalg.norm(normal) == pytest.approx(1)
-    assert np.isnan(hit(solid, [0.0, 0.0, 5.0], -DOWN)[0])
-    assert isinstance(solid, Hills) or np.isnan(hit(solid, [9.0, 9.0, 5.0], DOWN)[0])
-
-
-@pytest.mark.parametrize(
     ("solid", "distance"),  # of local points from the surface
     [(Sphere((0.1, 0.2, 1), 0.5), lambda p: np.linalg.norm(p - [0.1, 0.2, 1], axis=1) - 0.5),
      (Cuboid((0, 0.1, 1), (1, 2, 0.25)), lambda p: (np.abs(p - [0, 0.1, 1]) - [1, 2, 0.25]).max(axis=1)),
