@@ -37,7 +37,7 @@ def test_what_ends_early_or_has_a_changed_bit(tmp_path, method):
     """Wherever it is, no other content is read."""
     content = zipped(FILES, method)
     assert read(tmp_path / "a", content) == FILES
-    for at in range(len(content)):
+    for at in range(0, len(content), 3):
         with pytest.raises(ValueError):
             read(tmp_path / "a", content[:at])
         with suppress(ValueError):  # a time may have changed, or the length of a comment, which hides what follows
@@ -126,9 +126,9 @@ def test_many_members(tmp_path, monkeypatch):
 
 
 def test_a_size_that_lies(tmp_path):
-    """A member that declares 1 kB and holds 300 MB: no more than declared is given, and little is in memory."""
+    """A member that declares 1 kB and holds 100 MB: no more than declared is given, and little is in memory."""
     with zipfile.ZipFile(tmp_path / "a", "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a", "w") as member:
-        for _ in range(300):
+        for _ in range(100):
             member.write(bytes(10**6))
     content = (tmp_path / "a").read_bytes()
     content = with_field(content, content.rindex(DIRECTORY) + 24, "<I", 1000)

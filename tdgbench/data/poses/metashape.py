@@ -78,7 +78,7 @@ def read_chunk(root: Element, path: Path) -> Chunk:
         "are slaves of a multi-camera system: their poses are composed of their masters' and their sensor's": composed,
     }
     chunk.notes.extend(f"{number} cameras {what}" for what, number in said.items() if number)
-    if any(block.find("transform") is not None for tag in ("chunk", "component") for block in root.iter(tag)):
+    if any(block.find("transform") is not None for block in (*root.iter("chunk"), *root.iter("component"))):
         chunk.notes.append("poses are in the chunk's own frame: its georeference and scale are not applied")
     return chunk
 

@@ -3,8 +3,6 @@ import pytest
 from scipy import ndimage
 
 from tdgbench.data.check.alignment import Offset, ViewPair, edge_offset
-from tdgbench.scenes.images import read_image
-from tests.helpers.paths import SHARED
 
 FINE = 4  # samples per pixel and side, so that shifts by parts of a pixel are exact
 
@@ -39,15 +37,6 @@ def test_known_shift_is_found(shift):
     assert offset.px == pytest.approx(np.hypot(offset.x, offset.y))
 
 
-def test_pseudo_colour(tmp_path):
-    pairs = [
-        ViewPair(one.rgb, np.concatenate([one.thermal, 1 - one.thermal, np.zeros_like(one.thermal)], axis=2))
-        for one in made_pairs((2.0, 1.0))
-    ]
-    offset = edge_offset(pairs)
-    assert (offset.x, offset.y) == pytest.approx((2, 1), abs=0.25)
-
-
 def test_unrelated_images_have_no_offset():
     pairs = made_pairs((0.0, 0.0), views=6)
     mixed = [ViewPair(a.rgb, b.thermal) for a, b in zip(pairs, pairs[1:] + pairs[:1], strict=True)]
@@ -78,19 +67,3 @@ def test_edges_of_masks_do_not_count():
         pairs.append(ViewPair(one.rgb, np.where(valid[..., None], one.thermal, 0), valid))
     offset = edge_offset(pairs)
     assert (offset.x, offset.y) == pytest.approx((2, -1), abs=0.3)
-
-
-@pytest.mark.slow
-def test_known_shift_of_real_images():
-    """Shifted real thermal images: the offset changes by the shift, whatever it was before."""
-    folder = SHARED / "arco"
-    if not folder.is_dir():
-        pytest.skip(f"the real scene is not at {folder}")
-    names = sorted(path.name for path in (folder / "rgb" / "train").iterdir())[::4]
-    images = [[read_image(folder / kind / "train" / name) for kind in ("rgb", "thermal")] for name in names]
-    before = edge_offset([ViewPair(rgb, thermal) for rgb, thermal in images])
-    shifted = [ViewPair(rgb, ndimage.shift(t, (2.25, 3.5, 0), mode="nearest")) for rgb, t in images]
-    after = edge_offset(shifted)
-    assert (after.x - before.x, after.y - before.y) == pytest.approx((3.5, 2.25), abs=0.2)
-    mixed = [ViewPair(a[0], b[1]) for a, b in zip(images, images[3:] + images[:3], strict=True)]
-    assert isinstance(edge_offset(mixed), str)

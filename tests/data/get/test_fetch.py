@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import re
 import shutil
 from pathlib import Path
@@ -154,13 +153,6 @@ def test_answers_that_do_not_continue_a_file_change_nothing(tmp_path, server, fa
     assert get(tmp_path, server) and is_whole(tmp_path)
 
 
-@pytest.mark.parametrize("status", [404, 429, 503])
-def test_answers_that_end_the_download(tmp_path, server, status):
-    server.faults["lion.zip"] = [Fault(status=status)]
-    with pytest.raises(GetError, match=f"lion.zip cannot be fetched: {status} "):
-        get(tmp_path, server)
-
-
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
 def test_what_ends_while_unpacking(tmp_path, server, monkeypatch, error):
     """No half scene is left, and the archive is not fetched again."""
@@ -205,18 +197,6 @@ def test_a_scene_of_other_origin_is_left_as_it_is(tmp_path, server, capsys):
     assert content(own) == inside(LION, "lion") and not (tmp_path / "Lion").exists()
 
 
-@pytest.mark.parametrize("names", [["Lion"], ["Lion", "Face"]])
-def test_scenes_of_other_origin_in_an_archive_of_all(tmp_path, capsys, names):
-    """Which scenes it holds, only the archive tells: it is fetched once."""
-    for name in names:
-        (tmp_path / name).mkdir()
-    with zenodo({"ThermalMix.zip": zipped(LION | FACE)}) as server:
-        for _ in range(2):
-            assert get(tmp_path, server) and not any((tmp_path / "Lion").iterdir()) and len(server.requests) == 1
-    assert "Lion is left as it is" in capsys.readouterr().out
-    assert bool(content(tmp_path / "Face")) == (len(names) == 1)
-
-
 def test_another_version_is_not_mixed_in(tmp_path, server, capsys):
     assert get(tmp_path, server)
     server.files["lion.zip"] = zipped(scene_files("lion", seed=9))
@@ -246,11 +226,3 @@ def test_a_scene_with_a_damaged_record_is_left_as_it_is(tmp_path, server, capsys
     assert get(tmp_path, server)
     (tmp_path / "Lion" / RECORD).write_text(text, encoding="utf-8")
     assert get(tmp_path, server) and "Lion is left as it is" in capsys.readouterr().out
-
-
-def test_a_record_of_an_earlier_version_is_read(tmp_path, server):
-    """It had the page and sums of files."""
-    (tmp_path / "Lion").mkdir()
-    record = {"page": "p", "downloads": {"lion.zip": f"md5:{server.sums['lion.zip']}"}, "scenes": ["Lion"], "files": {}}
-    (tmp_path / "Lion" / RECORD).write_text(json.dumps(record), encoding="utf-8")
-    assert get(tmp_path, server, "Lion") and server.requests == []

@@ -6,7 +6,6 @@ from tdgbench.data.poses.compare import compare
 from tdgbench.scenes import SceneError
 from tests.helpers.command import tdgbench_here
 from tests.helpers.layouts import write_rgbt_scenes
-from tests.helpers.paths import SHARED
 
 
 def poses_at(positions, rotations):
@@ -68,14 +67,3 @@ def test_command(tmp_path, small_gray_scene):
     assert run.returncode == 0, run.stderr
     assert "views: 10 in both, of 10 and 11; similarity of 10" in run.stdout
     assert "focal length: " in run.stdout and "× the width" in run.stdout
-
-
-def test_a_real_scene_against_its_export(tmp_path):
-    if not (SHARED / "arco").is_dir():
-        pytest.skip("needs the real scene arco")
-    scene = str(SHARED / "arco")
-    assert tdgbench_here(tmp_path, "data", "export", scene, "out", "--format", "nerfstudio").returncode == 0
-    run = tdgbench_here(tmp_path, "data", "poses", scene, "out/transforms.json")
-    assert run.returncode == 0 and "views: 40 in both" in run.stdout
-    rotation, position = (float(line.rpartition("largest ")[2].split()[0]) for line in run.stdout.splitlines()[1:3])
-    assert rotation < 1e-9 and position < 1e-9

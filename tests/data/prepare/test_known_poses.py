@@ -17,7 +17,7 @@ from tdgbench.scenes.colmap import read_model
 from tests.helpers.command import tdgbench_here
 from tests.helpers.relief import BOARD, FOCAL, HEIGHT, WALL, WIDTH, places, write_relief
 
-CENTRES = places(4, 3)
+CENTRES = places(3, 2)
 OPTIONS = PrepareOptions(sfm=SfmOptions("thermal", threads=1))
 
 
@@ -50,12 +50,12 @@ def test_points_are_triangulated_and_a_stopped_run_goes_on(tmp_path, monkeypatch
     files = write_relief(tmp_path / "camera", CENTRES)
     options = opensfm(tmp_path / "a.json", [path.name for path in files[:-1]] + ["other.tiff"])
     report = prepare_scene(tmp_path / "camera", tmp_path / "scene", options)
-    assert (report.count("written"), report.files[-1].status) == (11, "not registered")
+    assert (report.count("written"), report.files[-1].status) == (5, "not registered")
     assert report.files[-1].reason == f"{tmp_path / 'a.json'} has no pose of it" and report.error_px < 0.3
-    assert "known poses: " in report.text() and "1 of its 12 poses are of no image" in report.text()
+    assert "known poses: " in report.text() and "1 of its 6 poses are of no image" in report.text()
     model = read_model(tmp_path / "scene" / "sparse" / "0")
     depths = model.points.points[:, 2]
-    assert len(depths) > 300 and np.median(np.minimum(abs(depths - WALL), abs(depths - BOARD))) < 0.02
+    assert len(depths) > 200 and np.median(np.minimum(abs(depths - WALL), abs(depths - BOARD))) < 0.02
     for path, centre in zip(files[:-1], CENTRES, strict=False):
         camera = model.images[path.stem].camera
         assert camera.K[0, 0] == FOCAL and camera.center == pytest.approx(centre)
@@ -78,7 +78,7 @@ def test_a_lens_is_refined_at_the_poses(tmp_path):
     options = replace(options, sfm=SfmOptions("thermal", 1.1 * FOCAL, threads=1, refine=True))
     report = prepare_scene(tmp_path / "camera", tmp_path / "scene", options)
     model = read_model(tmp_path / "scene" / "sparse" / "0")
-    assert model.images["00"].camera.K[0, 0] == pytest.approx(FOCAL, rel=0.01) and report.points > 300
+    assert model.images["00"].camera.K[0, 0] == pytest.approx(FOCAL, rel=0.01) and report.points > 200
 
 
 def test_shipped_points_need_no_matches(tmp_path, monkeypatch):
@@ -100,7 +100,8 @@ def test_origin_and_lens_of_a_map(tmp_path):
     """Reading the scene moves its origin. Without features there are no points; without a lens, no scene."""
     (tmp_path / "camera").mkdir()
     for index in range(3):
-        Image.fromarray(np.float32(np.tile(np.linspace(20, 21, WIDTH), (HEIGHT, 1)))).save(tmp_path / "camera" / f"{index}.tiff")
+        slope = np.tile(np.linspace(20, 21, WIDTH, dtype=np.float32), (HEIGHT, 1))
+        Image.fromarray(slope).save(tmp_path / "camera" / f"{index}.tiff")
     origin = np.array([2.6e6, 1.2e6, 400])
     options = table(tmp_path / "a.txt", ["0.tif", "1.tif", "2.tif"], origin)
     with pytest.raises(SceneError, match=r"a\.txt states no lens: say it by --calibration"):

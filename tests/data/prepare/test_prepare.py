@@ -8,10 +8,7 @@ import pycolmap
 import pytest
 from PIL import Image, TiffImagePlugin
 
-from tdgbench.data.poses.compare import compare
-from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare import prepare as module
-from tdgbench.data.prepare.capture import picture
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions, Structure
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
@@ -21,7 +18,6 @@ from tests.helpers.dji import write_dji
 from tests.helpers.exif import degrees, exif_gps, write_placed
 from tests.helpers.flir import FlirCamera, write_flir
 from tests.helpers.layouts import celsius
-from tests.helpers.paths import SHARED
 
 EXTRACT = PrepareOptions(extracts_only=True)
 
@@ -111,22 +107,6 @@ def test_extraction_alone(tmp_path, small_gray_scene):
     degC = np.asarray(Image.open(tmp_path / "out" / "thermal" / f"{view.name}.tiff"))
     assert np.allclose(degC, read_celsius(source / f"{view.name}.jpg"), atol=1e-3)  # nothing is undistorted
     assert not (tmp_path / "out" / "sparse").exists() and "run COLMAP on rgb/" in report.text()
-
-
-def test_a_part_of_the_photo(tmp_path, small_gray_scene):
-    """The thermal image covers the middle half of the photo: the output is that half."""
-    source = tmp_path / "camera"
-    source.mkdir()
-    photo = np.zeros((144, 192, 3), np.uint8)
-    photo[36:108, 48:144] = 200
-    for view in small_gray_scene.views[:2]:
-        write_flir(source / f"{view.name}.jpg", FlirCamera().counts(celsius(view, small_gray_scene)), photo)
-    report = prepare_scene(source, tmp_path / "out", replace(EXTRACT, mapping=PhotoMapping(2.0, 0, 0)))
-    rgb = np.asarray(Image.open(next((tmp_path / "out" / "rgb").iterdir())))
-    assert report.size == (48, 36) and rgb[2:-2, 2:-2].min() > 180
-    whole = prepare_scene(source, tmp_path / "whole", EXTRACT)
-    assert whole.size == (48, 36) and "same field of view" in whole.text()
-    assert np.asarray(Image.open(next((tmp_path / "whole" / "rgb").iterdir()))).min() < 20
 
 
 def test_radiometric_tiff_pairs_and_masks(tmp_path):
@@ -225,26 +205,6 @@ def test_stated_temperatures_of_dji_counts(tmp_path, small_gray_scene, monkeypat
         assert np.nanmax(np.abs(degC - celsius(view, small_gray_scene))) <= 0.0126  # half a count
 
 
-@pytest.mark.slow
-def test_real_pairs_give_the_known_poses(tmp_path):
-    """12 views of a real scene: COLMAP finds the poses of its published model, up to a similarity."""
-    real = SHARED / "arco"
-    if not real.is_dir():
-        pytest.skip(f"the real scene is not at {real}")
-    names = sorted(path.name for path in (real / "rgb" / "train").iterdir())[::2][:12]
-    for kind in ("rgb", "thermal"):
-        (tmp_path / "camera" / kind).mkdir(parents=True)
-        for name in names:
-            shutil.copy(real / kind / "train" / name, tmp_path / "camera" / kind / name)
-    shutil.copy(real / "temperature.json", tmp_path / "camera")
-    report = prepare_scene(tmp_path / "camera", tmp_path / "scene", PrepareOptions())
-    assert report.is_complete and report.models == [12] and report.error_px < 1
-    scene = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None)
-    result = compare(read_reference(tmp_path / "scene").poses, read_reference(real).poses)
-    assert result.position.max() < 0.01 and result.rotation.max() < 1.5  # degrees
-    assert scene.channels == 1 and scene.temperature.min == pytest.approx(11.584, abs=1e-3)
-
-
 def test_each_view_has_the_mapping_that_its_file_states(tmp_path):
     """A camera that adapts the mapping to the distance: a warm spot stays on the dark spot of the photo."""
     source = tmp_path / "camera"
@@ -326,14 +286,3 @@ def test_flir_tiff_states_its_temperatures(tmp_path, small_gray_scene, monkeypat
     assert ("without °C" in report.text()) != is_celsius
     temperature = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None).temperature
     assert 18.8 < temperature.min < temperature.max < 22.9 if is_celsius else temperature is None
-
-
-def test_no_contrast_gives_a_picture(small_gray_scene):
-    flat = np.full((36, 48), 21.0)
-    flat[0, 0] = np.nan
-    assert picture(flat).shape == (36, 48) and picture(flat).dtype == np.uint8
-
-
-def test_nothing_thermal_is_one_error(tmp_path):
-    with pytest.raises(SceneError, match="holds no thermal image"):
-        prepare_scene(tmp_path, tmp_path / "scene", THERMAL_ALONE)
