@@ -77,10 +77,10 @@ class DepthRegularised(Method):
         target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = photometric(render.image, target, self.lambda_ssim, valid)
         terms = {"thermal": loss}
-        prior, known, flat = self.targets.of(view)
+        prior, known, flat = self.targets.for_view(view)
         depth = expected_depth(render)
-        to_prior = self.lambda_depth * depth_loss(depth, prior, known, valid)
-        smooth = smoothness(depth, flat, valid)
+        to_prior = self.lambda_depth * prior_loss(depth, prior, known, valid)
+        smooth = depth_smoothness(depth, flat, valid)
         terms |= {"depth": to_prior, "smooth": smooth}
         if self.rise is not None:
             self.rise.note(to_prior.item())
@@ -130,7 +130,7 @@ class Targets:
         self._depths, self._device = depths, device
         self._of: dict[str, tuple[Tensor, Tensor, Tensor]] = {}
 
-    def of(self, view: View) -> tuple[Tensor, Tensor, Tensor]:
+    def for_view(self, view: View) -> tuple[Tensor, Tensor, Tensor]:
         """Return depth (H, W), world units, 0 where unknown; where it is known, and no edges, bool (H, W)."""
         size = (view.camera.height, view.camera.width)
         if view.name not in self._of or self._of[view.name][0].shape != size:
@@ -148,13 +148,13 @@ def expected_depth(render: Render) -> Tensor:
     return render.requested_depth / (render.alpha + EPSILON)
 
 
-def depth_loss(depth: Tensor, prior: Tensor, known: Tensor, valid: Tensor | None = None) -> Tensor:
+def prior_loss(depth: Tensor, prior: Tensor, known: Tensor, valid: Tensor | None = None) -> Tensor:
     """Return |prior − depth| where the prior is known, summed and divided by the number of valid pixels; (H, W)."""
     count = depth.numel() if valid is None else int(valid.sum())
     return torch.where(known, (prior - depth).abs(), 0.0).sum() / count
 
 
-def smoothness(depth: Tensor, flat: Tensor, valid: Tensor | None = None) -> Tensor:
+def depth_smoothness(depth: Tensor, flat: Tensor, valid: Tensor | None = None) -> Tensor:
     """Return the mean of (D̄ − D)² over valid pixels; depth (H, W). flat: bool (H, W), where the image has no edges.
 
     D̄ is the mean of the pixel and its 4 neighbours, of those that are flat, valid and have a depth; 0 if there is none.

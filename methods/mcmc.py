@@ -67,7 +67,7 @@ class Relocation(DensityControl):
         return Gradients.dense(values, on_image, computed.all_radii(len(state)))
 
     def update(
-        self, optimizer: Adam, iteration: int, generator: torch.Generator, verdict: GrowthDecision | None = None
+        self, optimizer: Adam, iteration: int, generator: torch.Generator, decision: GrowthDecision | None = None
     ) -> DensityChange:
         change = DensityChange()
         if not self.is_round(iteration):

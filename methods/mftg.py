@@ -11,27 +11,23 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import torch
-from pydantic import Field, NonNegativeFloat
+from pydantic import Field
 
+from methods.gaussian_splatting import ThermalGaussianLosses
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
-from tdgbench.training.images import RGB, THERMAL
-from tdgbench.training.losses import photometric, thermal_loss
-from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Stage, Step
+from tdgbench.training.method import Frame, Stage, Step
 
 
 @dataclass
-class MFTG(Method):
-    """First L_rgb, 3DGS's loss (eq. 7); then L_thermal, that of ThermalGaussian with smoothness.
+class MFTG(ThermalGaussianLosses):
+    """First L_rgb, then L_thermal.
 
     Optimiser, learning rates and density control begin anew with the second stage.
     """
 
     modalities = ("thermal", "rgb")
 
-    lambda_ssim: Share
-    lambda_smooth: NonNegativeFloat
-    smoothness_reading: SmoothnessReading
     rgb_share: Annotated[float, Field(gt=0, lt=1)]  # of the iterations
     start: Literal["cloud", "rgb_model"]  # of the thermal stage
 
@@ -46,10 +42,7 @@ class MFTG(Method):
 
     def _step_rgb(self, iteration: int) -> Step:
         view = self.views.next()
-        render = self.rgb.render(view.camera)
-        target, _ = RGB.tensors_of(view, render.image.device)
-        loss = photometric(render.image, target, self.lambda_ssim)
-        return Step(loss, {"rgb": loss}, render, target)
+        return self.rgb_step(self.rgb.render(view.camera), view)
 
     def _set_up_thermal(self, context: Context) -> None:
         start = None
@@ -62,10 +55,7 @@ class MFTG(Method):
 
     def _step_thermal(self, iteration: int) -> Step:
         view = self.views.next()
-        render = self.thermal.render(view.camera)
-        target, valid = THERMAL.tensors_of(view, render.image.device)
-        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
-        return Step(loss, {"thermal": loss}, render, target, valid)
+        return self.thermal_step(self.thermal.render(view.camera), view)
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:

@@ -115,7 +115,7 @@ class MultimodalControl(DensityControl):
         return removed[~spared], torch.cat([copies, added])
 
     def _decomposed(self, strength: Tensor) -> Tensor:
-        """Return which Gaussians (N,) both modalities pull, but apart. strength: (N,), mean gradient of both."""
+        """Return which Gaussians (N,) both modalities pull, each another way. strength: (N,), mean gradient of both."""
         rules, opacities = self.rules, _opacities(self.state.split(self.state.values))
         pull = torch.nan_to_num((self.rgb_sum - self.thermal_sum) / self.view_counts[:, None]).norm(dim=1)
         active = torch.minimum(*opacities.values()) > rules.active_opacity
@@ -146,7 +146,7 @@ class MultimodalControl(DensityControl):
 
 @dataclass
 class MMOne(OMMG):
-    """L = weight · (L_rgb + L_thermal): 3DGS's loss (eq. 7), and that of ThermalGaussian, with smoothness.
+    """L = weight · (L_rgb + L_thermal).
 
     Renders are clamped to [0, 1], so that what is brighter gets no gradient. Colours and opacities of both modalities
     start alike. RGB renders are over black.
@@ -186,14 +186,14 @@ class MMOne(OMMG):
     def _rendered(self, camera: Camera, modality: str, depth: bool = False) -> Render:
         if modality == "rgb":
             black = self.model.state.values.new_zeros(3)
-            render = self.model.render(camera, hook=with_rgb, background=black, label=modality)
+            render = self.model.render(camera, hook=as_rgb, background=black, label=modality)
         else:
             render = self.model.render(camera, depth=depth, label=modality)
         render.image = render.image.clamp(0, 1)
         return render
 
 
-def with_rgb(gaussians: Gaussians, degree: int) -> GaussianTensors:
+def as_rgb(gaussians: Gaussians, degree: int) -> GaussianTensors:
     """Return the Gaussians with their RGB colours and opacities."""
     opacities, colors = _opacities(gaussians)["rgb"], gaussians.extra_fields[SH_RGB]
     return gaussians.activated(degree)._replace(opacities=opacities, colors=colors)

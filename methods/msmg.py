@@ -11,25 +11,18 @@ from dataclasses import dataclass, replace
 import torch
 from pydantic import NonNegativeFloat
 
+from methods.gaussian_splatting import ThermalGaussianLosses
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
-from tdgbench.training.images import RGB, THERMAL
-from tdgbench.training.losses import photometric, thermal_loss
-from tdgbench.training.method import Frame, Method, Share, SmoothnessReading, Step
+from tdgbench.training.method import Frame, Step
 
 
 @dataclass
-class MSMG(Method):
-    """L = weight_rgb · w_thermal · L_rgb + weight_thermal · w_rgb · L_thermal, with w the shares in all Gaussians.
-
-    L_rgb is 3DGS's loss (eq. 7), L_thermal that of ThermalGaussian, with smoothness.
-    """
+class MSMG(ThermalGaussianLosses):
+    """L = weight_rgb · w_thermal · L_rgb + weight_thermal · w_rgb · L_thermal, with w the shares in all Gaussians."""
 
     modalities = ("thermal", "rgb")
 
-    lambda_ssim: Share
-    lambda_smooth: NonNegativeFloat
-    smoothness_reading: SmoothnessReading
     weight_rgb: NonNegativeFloat
     weight_thermal: NonNegativeFloat
 
@@ -44,27 +37,16 @@ class MSMG(Method):
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
         losses, terms = [], {}
         if not self.rgb_views.has_ended:
-            shown = self._rgb_loss()
+            view = self.rgb_views.next()
+            shown = self.rgb_step(self.rgb.render(view.camera), view)
             terms["rgb"] = shown.loss
             losses.append(self.weight_rgb * (1 - share_rgb) * shown.loss)
         if not self.thermal_views.has_ended or not losses:
-            shown = self._thermal_loss()
+            view = self.thermal_views.next()
+            shown = self.thermal_step(self.thermal.render(view.camera), view)
             terms["thermal"] = shown.loss
             losses.append(self.weight_thermal * share_rgb * shown.loss)
         return replace(shown, loss=sum(losses[1:], start=losses[0]), terms=terms)
-
-    def _rgb_loss(self) -> Step:
-        view = self.rgb_views.next()
-        render = self.rgb.render(view.camera)
-        target, _ = RGB.tensors_of(view, render.image.device)
-        return Step(photometric(render.image, target, self.lambda_ssim), {}, render, target)
-
-    def _thermal_loss(self) -> Step:
-        view = self.thermal_views.next()
-        render = self.thermal.render(view.camera)
-        target, valid = THERMAL.tensors_of(view, render.image.device)
-        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
-        return Step(loss, {}, render, target, valid)
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:

@@ -6,6 +6,8 @@ both colour sets with the same weights, so that density control reads the gradie
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -15,15 +17,13 @@ from tdgbench.splats import Gaussians
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.view import GaussianTensors, Render
 from tdgbench.training.context import Context
-from tdgbench.training.images import RGB, THERMAL
-from tdgbench.training.losses import photometric, thermal_loss
 from tdgbench.training.method import Frame, Step
 
 SH_RGB = "sh_rgb"  # the further field
 
 
 class OMMG(GaussianSplatting):
-    """L = weight · (L_rgb + L_thermal): 3DGS's loss (eq. 7), and that of ThermalGaussian, with smoothness.
+    """L = weight · (L_rgb + L_thermal).
 
     Both colour sets start from the points' colours. RGB renders are over black.
     """
@@ -39,25 +39,22 @@ class OMMG(GaussianSplatting):
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
-        render = self.model.render(view.camera, hook=with_both, background=self._background())
+        render = self.model.render(view.camera, hook=with_both_colors, background=self._background())
         channels = self.model.state.channels
         render.image, rgb = render.image.split([channels, 3], dim=2)
         return self._compared(view, render, rgb)
 
     def _compared(self, view: View, render: Render, rgb: Tensor) -> Step:
         """Return the loss of a view's thermal render and RGB image (H, W, 3)."""
-        image = render.image
-        target, valid = THERMAL.tensors_of(view, image.device)
-        loss_thermal = thermal_loss(image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
-        loss_rgb = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], self.lambda_ssim)
-        terms = {"rgb": loss_rgb, "thermal": loss_thermal}
-        return Step(self.weight * (loss_rgb + loss_thermal), terms, render, target, valid)
+        thermal = self.thermal_step(render, view)
+        of_rgb = self.rgb_step(replace(render, image=rgb), view).loss
+        return replace(thermal, loss=self.weight * (of_rgb + thermal.loss), terms={"rgb": of_rgb, **thermal.terms})
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
         if modality == "rgb":
             black = self.model.state.values.new_zeros(3)
-            return self.model.render(frame.camera, hook=with_rgb, background=black)
+            return self.model.render(frame.camera, hook=with_rgb_colors, background=black)
         return self.model.render(frame.camera, depth=True)
 
     def _background(self) -> Tensor | None:
@@ -66,11 +63,11 @@ class OMMG(GaussianSplatting):
         return None if behind is None else torch.cat([behind, behind.new_zeros(3)])
 
 
-def with_both(gaussians: Gaussians, degree: int) -> GaussianTensors:
+def with_both_colors(gaussians: Gaussians, degree: int) -> GaussianTensors:
     """Return the Gaussians with the channels of both colour sets, thermal ones first."""
     return gaussians.activated(degree)._replace(colors=torch.cat([gaussians.sh, gaussians.extra_fields[SH_RGB]], dim=2))
 
 
-def with_rgb(gaussians: Gaussians, degree: int) -> GaussianTensors:
+def with_rgb_colors(gaussians: Gaussians, degree: int) -> GaussianTensors:
     """Return the Gaussians with their RGB colours."""
     return gaussians.activated(degree)._replace(colors=gaussians.extra_fields[SH_RGB])

@@ -15,7 +15,7 @@ choose.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -24,29 +24,26 @@ import torch
 from pydantic import NonNegativeFloat
 from torch import Tensor
 
+from methods.gaussian_splatting import ThermalGaussianLosses
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import Camera, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.context import Context
-from tdgbench.training.images import THERMAL
-from tdgbench.training.losses import inverse_expected_depth, l1_and_dssim, min_max, thermal_loss
-from tdgbench.training.method import Method, Share, SmoothnessReading, Step
+from tdgbench.training.losses import inverse_expected_depth, l1_and_dssim, min_max
+from tdgbench.training.method import Step
 
 MIN_ALPHA = 1e-3  # there is no depth to invert where alpha is not above this
 RELEASED_EPSILON = 1e-6  # added to alpha: gaussian_renderer/__init__.py, line 475
 
 
 @dataclass
-class TDg(Method):
+class TDg(ThermalGaussianLosses):
     """L_total = L_thermal + w_decay(t) · λ_depth · L_depth (TDg, eq. 8)."""
 
     needs_prior = True
 
-    lambda_ssim: Share
-    lambda_smooth: NonNegativeFloat
-    smoothness_reading: SmoothnessReading
     lambda_depth: NonNegativeFloat
     depth_reading: Literal["written", "released"]  # written: eq. 3, with its gradient; released: without gradient
     decay: Literal["linear", "switch"]  # linear: eq. 7
@@ -57,7 +54,7 @@ class TDg(Method):
         self.views = context.views()
         self.targets = DepthTargets(context.priors, context.device)
         self.backend = context.backend
-        self.last_depth_iteration = int(self.decay_end * context.budget.schedule_length)  # t_end
+        self.depth_end = int(self.decay_end * context.budget.schedule_length)  # t_end
         self.skips_depth = self._decide_skip(context)
 
     def step(self, iteration: int) -> Step:
@@ -65,24 +62,20 @@ class TDg(Method):
         weight = self.lambda_depth * self._decay(iteration)
         needs_depth = not self.skips_depth or (weight > 0 and self.depth_reading == "written")
         render = self.model.render(view.camera, depth=needs_depth and self.depth_reading == "written")
-        target, valid = THERMAL.tensors_of(view, render.image.device)
-        loss = thermal_loss(render.image, target, self.lambda_ssim, self.lambda_smooth, self.smoothness_reading, valid)
-        terms = {"thermal": loss}
-        if needs_depth:
-            depth = self._depth_loss(view, render)
-            terms["depth"] = depth
-            loss = loss + weight * depth
-        else:
+        step = self.thermal_step(render, view)
+        if not needs_depth:
             self.targets.clear()
-        return Step(loss, terms, render, target, valid)
+            return step
+        depth = self._depth_loss(view, render)
+        return replace(step, loss=step.loss + weight * depth, terms={**step.terms, "depth": depth})
 
     def _decay(self, iteration: int) -> float:
         if self.decay == "switch":
-            return switch_weight(iteration, self.last_depth_iteration)
-        return decay_weight(iteration, 1, self.last_depth_iteration)
+            return switch_weight(iteration, self.depth_end)
+        return decay_weight(iteration, 1, self.depth_end)
 
     def _depth_loss(self, view: View, render: Render) -> Tensor:
-        prior = self.targets.of(view)
+        prior = self.targets.for_view(view)
         if self.depth_reading == "released":
             rendered = released_depth(self.model.copy(), view.camera, self.backend)
             # TDg.py, lines 202 to 219: L1 + (1 − SSIM), with 0 where the prior is unknown
@@ -92,7 +85,7 @@ class TDg(Method):
     def _decide_skip(self, context: Context) -> bool:
         """Decide whether iterations in which the depth loss moves nothing leave it out."""
         iterations = context.budget.iterations
-        without, reason = min(iterations, max(0, iterations - self.last_depth_iteration + 1)), ""
+        without, reason = min(iterations, max(0, iterations - self.depth_end + 1)), ""
         if self.lambda_depth == 0 or self.depth_reading == "released":
             without = iterations
         if self.depth_reading == "released":
@@ -120,7 +113,8 @@ class DepthTarget:
         return 1.0 if self.valid is None else float(self.valid.double().mean())
 
     @classmethod
-    def of(cls, prior: DepthPrior, device: torch.device) -> DepthTarget:
+    def from_prior(cls, prior: DepthPrior, device: torch.device) -> DepthTarget:
+        """Normalise a prior."""
         values = torch.from_numpy(prior.values).to(device)
         valid = torch.isfinite(values)
         if bool(valid.all()):
@@ -144,12 +138,12 @@ class DepthTargets:
         """Free the memory of the normalised maps, and of what the losses keep of them."""
         self.made.clear()
 
-    def of(self, view: View) -> DepthTarget:
+    def for_view(self, view: View) -> DepthTarget:
         """Return the target of a view, in the size of its image."""
         size = (view.camera.height, view.camera.width)
         if view.name not in self.made or self.made[view.name].normalised.shape != size:
             prior = self._priors[view.name].resized(view.camera.width, view.camera.height)
-            self.made[view.name] = DepthTarget.of(prior, self._device)
+            self.made[view.name] = DepthTarget.from_prior(prior, self._device)
         return self.made[view.name]
 
 
@@ -165,7 +159,7 @@ def depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
     """Return the depth loss (TDg, eq. 4): L1 + (1 − SSIM) of min-max normalised maps (H, W) where the prior is known.
 
     >>> depth = torch.rand(16, 16)
-    >>> target = DepthTarget.of(DepthPrior((3 * depth + 2).numpy(), "depth"), torch.device("cpu"))
+    >>> target = DepthTarget.from_prior(DepthPrior((3 * depth + 2).numpy(), "depth"), torch.device("cpu"))
     >>> abs(depth_loss(depth, target).item()) < 1e-5
     True
     """

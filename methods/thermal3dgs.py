@@ -110,7 +110,7 @@ class Thermal3DGS(Method):
 
     def setup(self, context: Context) -> None:
         self.model, self.views = context.gaussians(position_unit=self.position_unit), context.views()
-        self.frame, self.corner_iterations = context.frame, self.corner_end * context.budget.schedule_length
+        self.frame, self.corner_until = context.frame, self.corner_end * context.budget.schedule_length
         steps = context.budget.rates.means_steps
         torch.manual_seed(context.seed)
         self.atf = self.tcm = None
@@ -125,7 +125,7 @@ class Thermal3DGS(Method):
         view = self.views.next()
         render = self._rendered(self.frame(view))
         target, valid = THERMAL.tensors_of(view, render.image.device)
-        weight = self.lambda_corner * max(1 - iteration / max(self.corner_iterations, 1), 0.0)
+        weight = self.lambda_corner * max(1 - iteration / max(self.corner_until, 1), 0.0)
         loss = l1_and_dssim(render.image, target, 1 - self.lambda_ssim - self.lambda_corner, self.lambda_ssim, valid)
         terms = {"thermal": loss}
         if weight > 0:

@@ -19,6 +19,7 @@ from tdgbench.bench.signature import (
     choices,
     impossible_numbers,
     option_meant,
+    option_path,
     pydantic_problems,
     signature_problems,
 )
@@ -240,15 +241,14 @@ def _model_problems(plain: dict[str, Any]) -> list[Problem]:
 
 def _object_problems(plain: Any, name: str) -> Iterator[Problem]:
     """Yield problems of every `_target_` in a configuration."""
-    if isinstance(plain, list):
-        for index, item in enumerate(plain):
-            yield from _object_problems(item, f"{name}[{index}]")
-    if not isinstance(plain, dict):
-        return
-    for key, item in plain.items():
-        yield from _object_problems(item, f"{name}.{key}" if name else key)
-    if "_target_" not in plain or name == EXPERIMENT:
-        return
+    for key, item in plain.items() if isinstance(plain, dict) else enumerate(plain) if isinstance(plain, list) else ():
+        yield from _object_problems(item, option_path(name, key))
+    if isinstance(plain, dict) and "_target_" in plain and name != EXPERIMENT:
+        yield from _target_problems(plain, name)
+
+
+def _target_problems(plain: dict[str, Any], name: str) -> Iterator[Problem]:
+    """Yield problems of a `_target_` and of its own options, not of options that have a `_target_` themselves."""
     try:
         target = _import(str(plain["_target_"]))
     except Exception as error:  # a plug-in's module may raise anything
@@ -258,8 +258,8 @@ def _object_problems(plain: Any, name: str) -> Iterator[Problem]:
         rule = f"must be a class that derives from {Method.__module__}.{Method.__name__}"
         yield Problem(f"{name}._target_", rule, plain["_target_"])
         return
-    given = {k: v for k, v in plain.items() if not (k.startswith("_") or (isinstance(v, dict) and "_target_" in v))}
     nested = [k for k, v in plain.items() if isinstance(v, dict) and "_target_" in v]
+    given = {k: v for k, v in plain.items() if not k.startswith("_") and k not in nested}
     yield from signature_problems(target, given, name, elsewhere=nested, partial=bool(plain.get("_partial_")))
 
 

@@ -119,7 +119,7 @@ def impossible_numbers(value: Any, name: str) -> Iterator[Problem]:
     if isinstance(value, int) and not -LARGEST <= value <= LARGEST:
         yield Problem(name, f"must be at most {LARGEST}" if value > 0 else f"must be at least {-LARGEST}", value)
     for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
-        yield from impossible_numbers(item, _path(name, (key,)))
+        yield from impossible_numbers(item, option_path(name, key))
 
 
 def as_typed(value: Any) -> str:
@@ -175,7 +175,7 @@ def _not_options(hint: Any, value: Any, name: str) -> Iterator[Problem]:
 
 def _problem(error: ErrorDetails, name: str) -> Problem:
     """Return an error of pydantic in the words of options."""
-    kind, value, option = error["type"], error["input"], _path(name, error["loc"])
+    kind, value, option = error["type"], error["input"], option_path(name, *error["loc"])
     what = error["msg"].removeprefix("Value error, ")
     for phrase, shorter in PHRASES.items():
         what = what.replace(phrase, shorter)
@@ -206,9 +206,14 @@ PHRASES = {  # of its messages, and what replaces them
 }
 
 
-def _path(name: str, parts: tuple[int | str, ...]) -> str:
-    for part in parts:
-        name = f"{name}[{part}]" if isinstance(part, int) else f"{name}.{part}" if name else str(part)
+def option_path(name: str, *keys: int | str) -> str:
+    """Return the dotted name of what lies in the options `name` below some keys.
+
+    >>> option_path("fillers", 1), option_path("data", "width"), option_path("", "seed")
+    ('fillers[1]', 'data.width', 'seed')
+    """
+    for key in keys:
+        name = f"{name}[{key}]" if isinstance(key, int) else f"{name}.{key}" if name else str(key)
     return name
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -70,47 +71,69 @@ def train(
     """
     log = log or TrainingLog()
     log.ended = log.ended or not trainer.method.trains
-    keep_prepared(_gaussians(trainer))
-    clock = Clock(log)
+    loop = _Loop(trainer, log, on_log_line, after_iteration, before_update)
     try:
         with trainer.pending:
             while not log.ended:
-                iteration = log.iterations - trainer.stage_start + 1  # within the stage
-                for part in trainer.parts.values():
-                    part.begin(iteration)
-                step = trainer.stage.step(iteration)
-                if not isinstance(step, Step):
-                    raise TypeError(f"the method's step returned {type(step).__name__}; it must return a Step")
-                ends_stage = _ends(trainer, iteration, _checked_loss(step, trainer, iteration))
-                log.iterations += 1
-                log.ended = ends_stage and trainer.is_last_stage
-                if before_update is not None:
-                    trainer.pending.read()
-                    clock.write_times()
-                    before_update(log)
-                    clock = Clock(log)
-                if not ends_stage:
-                    _update(step, trainer, iteration)
-                every = max(1, trainer.whole_context.budget.iterations // LOG_LINES)
-                if log.iterations % every == 0 or log.iterations == 1 or ends_stage:
-                    trainer.pending.read()
-                    _check_parameters(trainer.parts, iteration)
-                    clock.write_times()
-                    line = _line(log, step, trainer)
-                    log.lines.append(line)
-                    keep_prepared(line.gaussians)
-                    if on_log_line is not None:
-                        on_log_line(line)
-                if ends_stage:
-                    trainer.advance(iteration)
-                clock.write_times()
-                if after_iteration is not None:
-                    after_iteration(log)
-                    clock = Clock(log)
+                loop.iterate()
     except TrainingError as error:
         error.iteration += trainer.stage_start  # of the whole training, as in the log
         raise
     return log
+
+
+@dataclass
+class _Loop:
+    """The iterations of a training, with those who are told of them."""
+
+    trainer: Trainer
+    log: TrainingLog
+    on_log_line: Callable[[LogLine], None] | None
+    after_iteration: Callable[[TrainingLog], None] | None
+    before_update: Callable[[TrainingLog], None] | None
+
+    def __post_init__(self) -> None:
+        keep_prepared(_gaussians(self.trainer))
+        self.clock = Clock(self.log)
+        self.line_every = max(1, self.trainer.whole_context.budget.iterations // LOG_LINES)
+
+    def iterate(self) -> None:
+        """Make the next iteration, and start the next stage if this one ends."""
+        trainer, log = self.trainer, self.log
+        iteration = log.iterations - trainer.stage_start + 1  # within the stage
+        for part in trainer.parts.values():
+            part.begin(iteration)
+        step = trainer.stage.step(iteration)
+        if not isinstance(step, Step):
+            raise TypeError(f"the method's step returned {type(step).__name__}; it must return a Step")
+        ends_stage = _ends(trainer, iteration, _checked_loss(step, trainer, iteration))
+        log.iterations += 1
+        log.ended = ends_stage and trainer.is_last_stage
+        if self.before_update is not None:
+            trainer.pending.read()
+            with self.clock.stopped():
+                self.before_update(log)
+        if not ends_stage:
+            _update(step, trainer, iteration)
+        if log.iterations % self.line_every == 0 or log.iterations == 1 or ends_stage:
+            self._add_line(step, iteration)
+        if ends_stage:
+            trainer.advance(iteration)
+        self.clock.write_times()
+        if self.after_iteration is not None:
+            with self.clock.stopped():
+                self.after_iteration(log)
+
+    def _add_line(self, step: Step, iteration: int) -> None:
+        """Check the parameters, and add a line to the log."""
+        self.trainer.pending.read()
+        _check_parameters(self.trainer.parts, iteration)
+        self.clock.write_times()
+        line = _line(self.log, step, self.trainer)
+        self.log.lines.append(line)
+        keep_prepared(line.gaussians)
+        if self.on_log_line is not None:
+            self.on_log_line(line)
 
 
 def _checked_loss(step: Step, trainer: Trainer, iteration: int) -> float | Tensor:
@@ -168,13 +191,23 @@ class Clock:
 
     def __init__(self, log: TrainingLog) -> None:
         self._log = log
-        self._start = time.perf_counter() - log.seconds
-        self._processor_start = time.process_time() - log.processor_seconds
+        self._start()
+
+    def _start(self) -> None:
+        self._began = time.perf_counter() - self._log.seconds
+        self._processor_began = time.process_time() - self._log.processor_seconds
 
     def write_times(self) -> None:
         """Write the times so far to the log."""
-        self._log.seconds = time.perf_counter() - self._start
-        self._log.processor_seconds = time.process_time() - self._processor_start
+        self._log.seconds = time.perf_counter() - self._began
+        self._log.processor_seconds = time.process_time() - self._processor_began
+
+    @contextmanager
+    def stopped(self) -> Iterator[None]:
+        """Write the times so far to the log, and start again afterwards."""
+        self.write_times()
+        yield
+        self._start()
 
 
 def _update(step: Step, trainer: Trainer, iteration: int) -> None:

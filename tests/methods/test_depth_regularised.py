@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from methods.aligned_depth import metric_depths
-from methods.depth_regularised import Rise, depth_loss, expected_depth, smoothness
+from methods.depth_regularised import Rise, depth_smoothness, expected_depth, prior_loss
 from tdgbench.priors import DepthPrior, PriorError
 from tdgbench.splats.backends.backend import RenderOptions
 from tdgbench.splats.backends.reference import BACKEND
@@ -86,9 +86,9 @@ def test_masked_pixels_have_no_part():
     valid, flat = torch.ones(9, 11, dtype=torch.bool), torch.ones(9, 11, dtype=torch.bool)
     valid[:, 6:] = False
     other = torch.where(valid, depth, depth + 3)
-    assert smoothness(depth, flat, valid) == smoothness(other, flat, valid)
-    assert smoothness(depth, flat) != smoothness(other, flat)
-    assert depth_loss(depth, prior, valid, valid) == pytest.approx((depth - prior).abs()[valid].mean().item())
+    assert depth_smoothness(depth, flat, valid) == depth_smoothness(other, flat, valid)
+    assert depth_smoothness(depth, flat) != depth_smoothness(other, flat)
+    assert prior_loss(depth, prior, valid, valid) == pytest.approx((depth - prior).abs()[valid].mean().item())
 
 
 def test_the_schedule_of_the_gaussians(small_gray_scene):

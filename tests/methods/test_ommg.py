@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from methods.ommg import SH_RGB, with_both, with_rgb
+from methods.ommg import SH_RGB, with_both_colors, with_rgb_colors
 from tdgbench.training.images import RGB
 from tdgbench.training.losses import photometric, thermal_loss
 from tests.helpers.training import OFTEN, ready_to_train, take_gradients, train
@@ -15,7 +15,7 @@ def test_the_loss_is_half_of_both(scene, request):
     view = trainer.method.views.views[0]
     trainer.method.views.next = lambda: view
     step = trainer.stage.step(1)
-    rgb = trainer.method.model.render(view.camera, hook=with_rgb).image
+    rgb = trainer.method.model.render(view.camera, hook=with_rgb_colors).image
     expected = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], 0.2).item()
     expected += thermal_loss(step.render.image, step.target, 0.2, 0.6, "released").item()
     assert step.loss.item() == pytest.approx(expected / 2, rel=1e-5)
@@ -43,7 +43,11 @@ def test_density_control_reads_one_gradient_of_the_sum(small_gray_scene):
         index, _, image = take_gradients(model).rows()
         return torch.zeros(len(model), 2).index_add(0, index, image[:, :2])
 
-    both, gray, rgb = gradient(with_both, slice(0, 4)), gradient(None, slice(0, 1)), gradient(with_rgb, slice(0, 3))
+    both, gray, rgb = (
+        gradient(with_both_colors, slice(0, 4)),
+        gradient(None, slice(0, 1)),
+        gradient(with_rgb_colors, slice(0, 3)),
+    )
     assert torch.allclose(both, gray + rgb, rtol=1e-3, atol=1e-5 * float(both.abs().max()))
 
 

@@ -11,7 +11,7 @@ from tests.helpers.training import digest, trained
 
 
 def depth_loss(rendered, prior):
-    return loss_against(rendered, DepthTarget.of(DepthPrior(prior.numpy(), "depth"), torch.device("cpu")))
+    return loss_against(rendered, DepthTarget.from_prior(DepthPrior(prior.numpy(), "depth"), torch.device("cpu")))
 
 
 def test_depth_loss_by_hand():

@@ -6,7 +6,7 @@ import torch
 
 from methods.aligned_depth import fit
 from methods.canny import canny
-from methods.depth_regularised import EDGES, depth_loss, neighbour_mean, smoothness
+from methods.depth_regularised import EDGES, depth_smoothness, neighbour_mean, prior_loss
 from tests.parity.originals import original, relative
 
 CLOSE = 1e-5
@@ -34,7 +34,7 @@ def test_edges():
 def test_smoothness():
     depth = tensor("depth").requires_grad_()
     near = neighbour_mean(depth, (tensor("flat") & (depth > 0)).to(depth))
-    loss = smoothness(depth, tensor("flat"))
+    loss = depth_smoothness(depth, tensor("flat"))
     loss.backward()
     assert relative(near.detach(), DATA["near"]) < CLOSE
     assert relative(loss.detach(), DATA["smooth"]) < CLOSE and relative(depth.grad, DATA["smooth_grad"]) < CLOSE
@@ -42,6 +42,6 @@ def test_smoothness():
 
 def test_depth_loss():
     depth, prior = tensor("depth").requires_grad_(), tensor("prior")
-    loss = 0.5 * depth_loss(depth, prior, prior > 0)
+    loss = 0.5 * prior_loss(depth, prior, prior > 0)
     loss.backward()
     assert relative(loss.detach(), DATA["to_prior"]) < CLOSE and relative(depth.grad, DATA["to_prior_grad"]) < CLOSE

@@ -48,7 +48,7 @@ def test_depth_render(backend):
 @pytest.mark.parametrize("name", FILES)
 def test_depth_maps(tmp_path, name, size):
     """A PNG becomes the target of the loss: resized, valid where above 0, min-max over that, 0 elsewhere."""
-    target = DepthTarget.of(prior_of(tmp_path, name, size), torch.device("cpu"))
+    target = DepthTarget.from_prior(prior_of(tmp_path, name, size), torch.device("cpu"))
     theirs = original("depth_maps")[f"{name}_target_{size[0]}x{size[1]}"]
     assert np.abs(target.normalised.numpy() - theirs).max() < 1e-6
 
@@ -75,7 +75,7 @@ def test_whole_loss_of_tdg():
     theirs = original("totals")
     method = instantiate(config("method=tdg_released").method.method)
     method.model, method.views, method.skips_depth = Still("thermal", 10), standing_view(), True
-    method.last_depth_iteration, method.targets = 1, DepthTargets({}, torch.device("cpu"))
+    method.depth_end, method.targets = 1, DepthTargets({}, torch.device("cpu"))
     step = method.step(1)
     step.loss.backward()
     assert step.loss.item() == pytest.approx(float(theirs["tdg"]), rel=LIMIT)

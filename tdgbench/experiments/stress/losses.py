@@ -72,7 +72,7 @@ def _masked(values: Tensor, known: int) -> Tensor:
 
 def _against(prior: Tensor) -> Loss:
     def loss(rendered: Tensor) -> Tensor:
-        target = DepthTarget.of(DepthPrior(prior.numpy().astype(np.float32), "depth"), rendered.device)
+        target = DepthTarget.from_prior(DepthPrior(prior.numpy().astype(np.float32), "depth"), rendered.device)
         target = replace(target, normalised=target.normalised.to(rendered))
         return depth_loss(rendered, target)
 
