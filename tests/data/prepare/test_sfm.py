@@ -103,7 +103,7 @@ def test_a_calibration_is_kept_or_refined(tmp_path):
         found = reconstruct(tmp_path / "camera", names, Stages(tmp_path / "work"), options)
         assert sorted(found.poses) == names and found.camera.model_name == "OPENCV"
         assert (tuple(found.camera.params) == lens.params) != refine
-        assert found.camera.params[:2] == pytest.approx((FOCAL, FOCAL), rel=0.05)
+        assert found.camera.params[:2] == pytest.approx((FOCAL, FOCAL), rel=0.2)
 
 
 def test_a_focal_length_that_runs_away_from_that_of_the_files_is_not_taken(tmp_path, monkeypatch):
