@@ -25,11 +25,11 @@ class Tool:
 TOOLS = {
     "tables": Tool(
         (("[claims|sensitivity] DIR", "tables of results/<experiment>; the paper's claims; other conventions"),),
-        "tdgbench.tables.command",
+        "tdgbench.tables.tables_command",
     ),
     "compare": Tool(
         (("A B, score DIR OUT [metrics=...]", "two result folders; DIR scored by another protocol, without training"),),
-        "tdgbench.compare.command",
+        "tdgbench.compare.compare_command",
     ),
     "score": Tool((), "tdgbench.rescore.command"),
     "data": Tool(
@@ -51,6 +51,6 @@ TOOLS = {
         (("DIR, unpack PACK DIR, site PACK DIR", "results in one file, to hand on; and back; web pages of packs"),),
         "tdgbench.packs.command",
     ),
-    "site": Tool((), "tdgbench.site.command"),
+    "site": Tool((), "tdgbench.site.site_command"),
     "unpack": Tool((), "tdgbench.packs.command", "unpack_main"),
 }

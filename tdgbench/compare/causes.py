@@ -11,7 +11,7 @@ from tdgbench.cells.ground_truth import views_with_other_truth
 from tdgbench.cells.key import flat
 from tdgbench.cells.protocol import MEASURED_ON
 from tdgbench.cells.record import Record
-from tdgbench.compare.cells import ComparedCell
+from tdgbench.compare.compared_cells import ComparedCell
 from tdgbench.text import one_line
 
 PROTOCOL, TRAINING, MACHINE = "protocol", "training", "machine"

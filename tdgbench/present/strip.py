@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from tdgbench.cells.folder import CellFolder
 from tdgbench.present.colours import in_colour
 from tdgbench.present.figures import plain, save_figure
-from tdgbench.present.pictures import ERROR, ERROR_RANGE, grayed, middle_view
+from tdgbench.present.view_pictures import ERROR, ERROR_RANGE, grayed, middle_view
 
 MOST_BESIDE = 4  # methods whose errors are beside their renders
 TITLE: dict[str, Any] = {"fontsize": 8, "y": 1.0}  # with a fixed height, matplotlib searches for none

@@ -80,6 +80,7 @@ class Metric(Measure, ABC):
     order: int = 1000  # place among the columns of views.csv; equal orders stand by name
     needs: str = ""  # what a scene or method must have to be scored
     fits_to_test_view: str = ""  # what is fitted to a test view before it is scored; empty: nothing
+    beside: str = ""  # published score that it is a column beside, in tables that are read; empty: no column
     options: tuple[str, ...] = ()  # of `metrics`, that the value depends on
     verified_to: float | None = None  # tolerance when `verify` recomputes it from a cell's files; None: it cannot
 

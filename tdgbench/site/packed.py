@@ -20,11 +20,11 @@ from tdgbench.packs.checklist import Item, checklist
 from tdgbench.packs.manifest import Manifest
 from tdgbench.present.grid import GridCell
 from tdgbench.tables.build import Tables, build_tables
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.grids import SCENE_KEYS
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import AVERAGE, OVERALL
 from tdgbench.tables.palette import image_values
+from tdgbench.tables.results import Cell
 
 AVERAGES = (AVERAGE, OVERALL)
 

@@ -9,10 +9,6 @@ import pandas as pd
 
 from tdgbench.text import csv_text
 
-NUMBERS = ("value", "ours", "published", "difference", "std", "low", "high", "ci95_low", "ci95_high", "ci90_low",
-           "ci90_high", "p", "margin", "others_low", "others_high", "spread", "printed", "mean", "tolerance",
-           "change")  # fmt: skip
-
 
 def as_csv(table: pd.DataFrame, as_is: Collection[str] = (), na_rep: str = "") -> str:
     """Return CSV text. as_is: columns of text that begins with a number of ours. na_rep: for missing values.
@@ -30,7 +26,7 @@ def as_csv(table: pd.DataFrame, as_is: Collection[str] = (), na_rep: str = "") -
 
 
 def to_csv(table: pd.DataFrame) -> str:
-    """Return CSV text, with n/a for missing numbers.
+    """Return CSV text: numbers of columns of floats with six digits, n/a for missing ones.
 
     >>> print(to_csv(pd.DataFrame({"scene": ["a", "b"], "value": [1.25, float("nan")]})), end="")
     scene,value
@@ -38,12 +34,12 @@ def to_csv(table: pd.DataFrame) -> str:
     b,n/a
     """
     table = table.copy()
-    for column in NUMBERS:
-        if column in table:
-            table[column] = ["n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[column]]
+    numbers = [name for name in table.columns if pd.api.types.is_float_dtype(table[name])]
+    for name in numbers:
+        table[name] = ["n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[name]]
     if "bold" in table:
         table["bold"] = table["bold"].map({True: "true", False: "false"})
-    return as_csv(table, as_is=NUMBERS)
+    return as_csv(table, as_is=numbers)
 
 
 class _Rows(StringIO):

@@ -76,14 +76,7 @@ def main_table(main: pd.DataFrame, grid: Grid) -> str:
     grid: `main_grid` of the main table.
     """
     columns = list(dict.fromkeys(row.place[2] for row in grid.rows))
-    width, per_method = 1 + len(columns) * len(PUBLISHED), len(PUBLISHED)
-    titles = [rf"\multicolumn{{{per_method}}}{{c}}{{{escape(methods.label(m))}}}" for m in columns]
-    rules = [rf"\cmidrule(lr){{{2 + i * per_method}-{1 + (i + 1) * per_method}}}" for i in range(len(columns))]
-    heads = [
-        f"Dataset & {' & '.join(titles)} \\\\",
-        "".join(rules),
-        f" & {' & '.join(MEASURES[metric].latex_column for _ in columns for metric in PUBLISHED)} \\\\",
-    ]
+    width = 1 + len(columns) * len(PUBLISHED)
     lines, before = [], ("", "")
     for (dataset, scene), rows in _by_scene(grid).items():
         group = rows[columns[0]].group
@@ -98,7 +91,7 @@ def main_table(main: pd.DataFrame, grid: Grid) -> str:
         mark = LATEX_MARK if any(row.is_marked for row in rows.values()) else ""
         values = [_number(rows[m].cells[COLUMNS.index(metric)], metric, scene) for m in columns for metric in PUBLISHED]
         lines.append(f"{_row_title(scene)}{mark} & {' & '.join(values)} \\\\")
-    return tabular("l" + "c" * (width - 1), heads, lines, protocol_notes(main), palette_notes(main))
+    return tabular("l" + "c" * (width - 1), _heads(columns), lines, protocol_notes(main), palette_notes(main))
 
 
 def ablation_table(main: pd.DataFrame, grid: Grid) -> str:
@@ -121,6 +114,15 @@ def ablation_table(main: pd.DataFrame, grid: Grid) -> str:
             lines.append(f"{escape(methods.label(method))}{mark} & {marks} & {pairs} \\\\")
     heads = [rf" & Random & COLMAP & {parts} \\"]
     return tabular("lcc" + "c" * len(ABLATION_PAIRS), heads, lines, initial_points(main), palette_notes(main))
+
+
+def _heads(columns: Sequence[str]) -> list[str]:
+    """Return the lines of the main table's head: methods, each over its measures."""
+    count = len(PUBLISHED)
+    titles = [rf"\multicolumn{{{count}}}{{c}}{{{escape(methods.label(m))}}}" for m in columns]
+    rules = [rf"\cmidrule(lr){{{2 + i * count}-{1 + (i + 1) * count}}}" for i in range(len(columns))]
+    measures = [MEASURES[metric].latex_column for _ in columns for metric in PUBLISHED]
+    return [f"Dataset & {' & '.join(titles)} \\\\", "".join(rules), f" & {' & '.join(measures)} \\\\"]
 
 
 def _by_scene(grid: Grid) -> dict[tuple[str, str], dict[str, GridRow]]:

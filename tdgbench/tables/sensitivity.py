@@ -26,8 +26,8 @@ from tdgbench.scoring.metric import ImageMetric
 from tdgbench.scoring.metrics.psnr import channel_psnr, psnr_of
 from tdgbench.scoring.metrics.psnr_fitted import psnr_affine
 from tdgbench.scoring.scored_view import Border, Convention, ConventionName, ImagePair, NotApplicableError, at_valid
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.measures import MEASURES
+from tdgbench.tables.results import Cell
 
 COLUMNS = ["score", "convention", "cells", "mean_change", "largest_change", "pairs", "reversed", "other_best", "reason"]
 RECORDED = "as recorded"  # the first choice of each score

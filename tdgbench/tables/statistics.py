@@ -11,12 +11,12 @@ from scipy.special import stdtrit
 
 from tdgbench.cells.record import Record
 from tdgbench.tables import methods
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import method_label, with_averages
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OF_RECORDS, OVERALL, TRAINING, gain
 from tdgbench.tables.methods import MethodPair
 from tdgbench.tables.palette import COLUMN, values_over_scenes
 from tdgbench.tables.published import published_main
+from tdgbench.tables.results import Cell
 
 REPLICATES = 1000
 SEED = 0

@@ -13,7 +13,7 @@ from tdgbench.cells.paths import PARTS_FILE
 from tdgbench.cells.renders import background_of
 from tdgbench.files import write_text
 from tdgbench.present import colours
-from tdgbench.present.pages import environment
+from tdgbench.present.html import environment
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.splats import Gaussians
 from tdgbench.splats.view import EPS2D, NEAR_PLANE

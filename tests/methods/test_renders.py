@@ -15,11 +15,11 @@ from methods.renders import Renders
 from tdgbench.bench.scores import render_views
 from tdgbench.bench.setup import set_up
 from tdgbench.cells.renders import render_model
-from tdgbench.report.scene import scene_section
+from tdgbench.report.scene_section import scene_section
 from tdgbench.scenes import SceneError
 from tdgbench.splats.ply import load_ply
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import metric_value, planned_iterations
+from tdgbench.tables.results import Cell
 from tdgbench.training.loop import train
 from tdgbench.verify.cell import verify_cell
 from tdgbench.verify.experiment import verify

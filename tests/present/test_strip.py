@@ -33,7 +33,7 @@ def test_a_picture_that_is_unusable_is_na(tmp_path, small_results):
     assert not draw_strip([], tmp_path / "strip.png")
 
 
-@pytest.mark.parametrize("name", ["$x^2$ $\\frac{", "_a", "a\nb", "n" * 200, "🔥"], ids=ascii)
+@pytest.mark.parametrize("name", ["$x^2$ $\\frac{", "a\nb🔥"], ids=ascii)
 def test_any_name_is_drawn(tmp_path, name):
     cell = drawn_cell(tmp_path / "cell", scores={"psnr": None})
     cell.record.method = cell.record.scene = name

@@ -1,8 +1,16 @@
+"""The metrics: found, described, and within their ranges; of each modality."""
+
+from __future__ import annotations
+
+import numpy as np
 import pytest
+from hydra.utils import instantiate
 
 from tdgbench.scenes.modalities import LABELS
-from tdgbench.scoring import METRICS, TRAIN_METRICS, metrics, registry
+from tdgbench.scoring import METRICS, RenderedImages, metrics, registry
 from tdgbench.scoring.registry import find_metrics
+from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
+from tests.helpers.configs import config
 
 MADE_UP = """
 from tdgbench.scoring.metric import ImageMetric
@@ -20,13 +28,59 @@ def test_a_file_is_a_metric(tmp_path, monkeypatch):
         find_metrics()
 
 
-def test_training_views_get_the_cheap_metrics():
-    assert list(TRAIN_METRICS) == ["psnr", "ssim"]
-
-
 def test_a_new_modality_has_the_metrics_of_every_modality(monkeypatch):
     monkeypatch.setitem(LABELS, "nir", "NIR")
     monkeypatch.setattr(registry, "OTHERS", ("rgb", "nir"))
     found = find_metrics()
     assert set(found) - set(METRICS) == {"nir_psnr", "nir_ssim", "nir_lpips"}
     assert found["nir_ssim"].title == "SSIM of the NIR model ↑" and found["nir_ssim"].modality == "nir"
+
+
+COLUMNS = ["psnr", "ssim", "lpips", "channel_psnr", "psnr_affine", "psnr_right_half", "psnr_true",
+           "rgb_psnr", "rgb_ssim", "rgb_lpips", "mae_degC", "mae_degC_without_offset", "depth_abs_rel", "floaters",
+           "depth_inconsistency", "barely_seen", "psnr_well_seen", "psnr_barely_seen", "guess_correlation"]  # fmt: skip
+
+
+def test_columns_of_views_csv():
+    assert list(METRICS) == COLUMNS
+    assert all(metric.label and metric.meaning for metric in METRICS.values())
+    assert [name for name, metric in METRICS.items() if metric.higher_is_better] == [
+        name for name in COLUMNS if "psnr" in name or "ssim" in name or name == "guess_correlation"
+    ]
+
+
+@pytest.mark.parametrize("scene", ["small_scene", "small_gray_scene"])
+def test_scores_lie_in_their_range(scene, request, squeeze_weights):
+    scene = request.getfixturevalue(scene)
+    scorer = instantiate(config("metrics.lpips.net=squeeze", f"metrics.lpips.weights={squeeze_weights}").metrics)
+    rng = np.random.default_rng(0)
+
+    def wrong(view):
+        noise = rng.normal(0, 0.2, view.thermal.shape).astype(np.float32)
+        return RenderedImages(view.thermal + noise, view.true_depth * rng.uniform(0.5, 1.5), {"rgb": 1 - view.rgb})
+
+    views = scorer.score(scene, {view.name: wrong(view) for view in scene.test})
+    scored = {name for scores in views.values() for name, value in scores.items() if value is not None}
+    assert scored == set(COLUMNS) - set(scorer.missing)
+    for scores in views.values():
+        for name, value in scores.items():
+            low, high = METRICS[name].limits
+            assert value is None or low <= value <= high, name
+
+
+def test_the_rgb_model_is_described_like_the_thermal_one():
+    psnr, rgb = METRICS["psnr"], METRICS["rgb_psnr"]
+    assert (rgb.digits, rgb.unit, rgb.higher_is_better) == (psnr.digits, psnr.unit, True)
+    assert rgb.title == "PSNR of the RGB model, dB ↑" and psnr.in_main_table and not rgb.in_main_table
+    train = psnr.of_training_views()
+    assert train.name == "train_psnr" and train.title == "PSNR of the training views, dB ↑"
+
+
+def test_a_metric_reads_its_own_modality(small_scene):
+    view = small_scene.test[0]
+    images = RenderedImages(view.thermal, view.true_depth, {"rgb": np.clip(view.rgb + 0.1, 0, 1)})
+    shown = ScoredView(view, images, Convention("zero", lambda a, b: 0.0))
+    assert METRICS["psnr"].score(shown) > 99 and METRICS["rgb_psnr"].score(shown) < 30
+    without = ScoredView(view, RenderedImages(view.thermal, view.true_depth), shown.convention)
+    with pytest.raises(NotApplicableError, match="trains no RGB model"):
+        METRICS["rgb_psnr"].score(without)

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tdgbench.scoring.scored_view import Convention, NotApplicableError, RenderedImages, ScoredView, as_saved, to_8bit
+from tdgbench.scoring.scored_view import Convention, NotApplicableError, RenderedImages, ScoredView, as_saved
 
 CONVENTION = Convention("zero", lambda image, target: 0.0)
 
@@ -11,10 +11,6 @@ CONVENTION = Convention("zero", lambda image, target: 0.0)
 def shown(scene, view, **fields):
     images = RenderedImages(view.thermal, view.true_depth, {"rgb": view.rgb})
     return ScoredView(view, replace(images, **fields), CONVENTION, scene, {view.name: images})
-
-
-def test_8_bit_rounds_half_up():
-    assert to_8bit(np.array([-0.1, 0.0, 0.5 / 255, 0.49 / 255, 1.0, 2.0])).tolist() == [0, 0, 1, 0, 255, 255]
 
 
 def test_pairs_are_what_files_hold(small_scene):

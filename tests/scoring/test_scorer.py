@@ -1,3 +1,8 @@
+"""Scores of rendered views, and of several views at once."""
+
+from __future__ import annotations
+
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -5,8 +10,9 @@ import pytest
 import torch
 from hydra.utils import instantiate
 
-from tdgbench.scoring import RenderedImages, mean_scores, to_8bit
+from tdgbench.scoring import RenderedImages, to_8bit
 from tdgbench.scoring.metrics.psnr import psnr
+from tdgbench.scoring.scorer import PIXELS_AT_ONCE, map_views, one_torch_thread
 from tdgbench.splats.cpu import pool
 from tests.helpers.configs import config
 
@@ -43,15 +49,6 @@ def test_gray_scene(small_gray_scene):
     assert values["lpips"] is None and "download is false" in scoring.missing["lpips"]
 
 
-def test_training_views_get_the_cheap_scores(small_gray_scene):
-    view = small_gray_scene.test[0]
-    wrong = to_8bit(view.thermal) // 2
-    scoring = scorer()
-    full = score(scoring, small_gray_scene, wrong, view.true_depth)
-    shown = RenderedImages(wrong.astype(np.float32) / np.float32(255), view.true_depth)
-    assert scoring.score_train([view], {view.name: shown})[view.name] == {m: full[m] for m in ("psnr", "ssim")}
-
-
 def test_pseudo_color_has_no_temperature(small_scene):
     view = small_scene.test[0]
     scoring = scorer()
@@ -84,13 +81,6 @@ def test_the_published_backbone_through_the_options(vgg_weights):
     in_unit_range = scorer("metrics.lpips.net=vgg", f"metrics.lpips.weights={vgg_weights}")  # as published tables
     assert in_unit_range.lpips((a[0] + 1) / 2, (b[0] + 1) / 2) != pytest.approx(0.3582, abs=1e-3)
     assert in_unit_range.lpips(a[0], a[0]) == 0
-
-
-def test_with_a_backbone(small_scene, squeeze_weights):
-    view = small_scene.test[0]
-    scoring = instantiate(config("metrics.lpips.net=squeeze", f"metrics.lpips.weights={squeeze_weights}").metrics)
-    values = score(scoring, small_scene, np.roll(to_8bit(view.thermal), 3, axis=0), view.true_depth)
-    assert 0.001 < values["lpips"] < 1 and "lpips" not in scoring.missing
 
 
 def test_scores_do_not_depend_on_the_number_of_threads(small_scene, squeeze_weights):
@@ -141,19 +131,52 @@ def test_an_rgb_model_is_scored_like_the_thermal_one(small_scene):
     assert scoring.missing["rgb_ssim"] == "the method trains no RGB model"
 
 
-def test_psnr_pooled_over_channels_of_8_bit_images_and_per_channel_of_floats(small_scene):
-    view = small_scene.test[0]
-    off = view.thermal + np.float32([0.001, 0.1, -0.05])
-    renders = {v.name: RenderedImages(v.thermal, v.true_depth) for v in small_scene.test}
-    renders[view.name] = RenderedImages(off, view.true_depth)
-    values = scorer().score(small_scene, renders)[view.name]
-    clipped = np.clip(off, 0, 1)
-    by_hand = np.mean([-10 * np.log10(np.mean((clipped - view.thermal)[..., c] ** 2)) for c in range(3)])
-    assert values["channel_psnr"] == pytest.approx(by_hand, abs=1e-4)
-    assert values["channel_psnr"] > values["psnr"] + 3
+@pytest.fixture(autouse=True)
+def torch_has_its_threads_again():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
 
 
-def test_means_never_skip_what_is_missing():
-    views = {"a": {"psnr": 20.0, "lpips": 0.1}, "b": {"psnr": 30.0, "lpips": None}}
-    means = mean_scores(views)
-    assert means["psnr"] == 25 and means["lpips"] is None and means["ssim"] is None
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_results_are_in_the_order_of_the_views(threads):
+    pool.set_threads(threads)
+    assert map_views(lambda view: view * view, range(23), pixels=1) == [n * n for n in range(23)]
+    assert map_views(lambda view: view, [], pixels=0) == []
+
+
+def test_views_are_worked_on_at_once_with_one_torch_thread_each():
+    pool.set_threads(3)
+    torch.set_num_threads(2)
+    together = threading.Barrier(3, timeout=20)
+
+    def work(view):
+        together.wait()  # breaks unless three threads are here
+        return torch.get_num_threads()
+
+    assert map_views(work, range(3), pixels=1) == [1, 1, 1]
+    assert torch.get_num_threads() == 2
+
+
+def test_memory_bounds_the_views_at_once():
+    pool.set_threads(8)
+    busy, most, lock = [0], [0], threading.Lock()
+
+    def work(view):
+        with lock:
+            busy[0] += 1
+            most[0] = max(most[0], busy[0])
+        np.ones(200_000).sum()
+        with lock:
+            busy[0] -= 1
+
+    map_views(work, range(40), pixels=PIXELS_AT_ONCE // 2)
+    assert most[0] <= 2
+
+
+def test_torch_has_its_threads_back_after_an_error():
+    torch.set_num_threads(2)
+    with pytest.raises(KeyError), one_torch_thread():
+        assert torch.get_num_threads() == 1
+        raise KeyError
+    assert torch.get_num_threads() == 2

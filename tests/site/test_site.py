@@ -14,7 +14,7 @@ from PIL import Image
 from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.record import read_all
 from tdgbench.packs import pack
-from tdgbench.site.command import main
+from tdgbench.site.site_command import main
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import COLUMNS, as_text
 from tdgbench.tables.published import published_main
@@ -238,9 +238,8 @@ def test_commands_are_quoted(small_results, tmp_path):
     assert words[2] == ["tdgbench", "unpack", f"./{path.name}", f"results/{small_results.name}"]
 
 
-@pytest.mark.parametrize("psnr", [1e7, -1e12])
-def test_absurd_scores_have_a_site(tmp_path, psnr):
-    for method, value in (("tdg", 20.0), ("msmg", psnr)):
+def test_absurd_scores_have_a_site(tmp_path):
+    for method, value in (("tdg", 20.0), ("msmg", -1e12)):
         write(tmp_path / "a", method, "Truck", scores={"psnr": value}, seconds={"train": 9.0})
     site = make(tmp_path / "site", pack(tmp_path / "a", tmp_path / "a.zip", keep_paths=True)[0])
     assert (site / "index.html").stat().st_size < MEGABYTE

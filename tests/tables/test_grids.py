@@ -7,7 +7,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from tdgbench.report.scores import legend, published_section
+from tdgbench.report.report_page import legend, published_section
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.grids import difference_note, further_grid
 from tdgbench.tables.measures import MEASURES

@@ -1,4 +1,4 @@
-from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, PUBLISHED, TRAINING, gain
+from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, PUBLISHED, TRAINING
 from tdgbench.tables.published import published_ablation, published_main
 
 
@@ -24,7 +24,3 @@ def test_headings():
     hours = MEASURES["train_hours"]
     assert (hours.column, hours.latex_column, hours.change) == ("time↓", r"Time [h] $\downarrow$", "time ×")
     assert MEASURES["psnr"].change == "PSNR, dB" and MEASURES["ssim"].latex_column == r"SSIM $\uparrow$"
-
-
-def test_a_gain_is_positive_where_it_is_better():
-    assert gain("psnr", 21.0, 20.0) == 1.0 == gain("train_hours", 1.0, 2.0)

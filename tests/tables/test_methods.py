@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from tdgbench.cells.plan import Plan
-from tdgbench.report.page import write_report
+from tdgbench.report.report_page import write_report
 from tdgbench.resources import conf_folder
 from tdgbench.tables import methods
 from tdgbench.tables.build import build_tables

@@ -13,9 +13,9 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from skimage.transform import downscale_local_mean
 
 from tdgbench.cells.paths import RECORD_FILE
-from tdgbench.tables.command import main
 from tdgbench.tables.results import read_results
 from tdgbench.tables.sensitivity import sensitivity
+from tdgbench.tables.tables_command import main
 from tests.helpers.records import write
 from tests.scoring.weights import random_state
 

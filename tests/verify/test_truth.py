@@ -14,10 +14,10 @@ from PIL import Image
 from tdgbench.cells.folder import CellFolder, hashes_below
 from tdgbench.cells.ground_truth import same_truth, truth_hash, truth_hashes
 from tdgbench.cells.record import read_record
-from tdgbench.compare.command import main as compare
+from tdgbench.compare.compare_command import main as compare
 from tdgbench.packs import pack
 from tdgbench.scoring.metrics.psnr import psnr_of
-from tdgbench.site.command import main as site
+from tdgbench.site.site_command import main as site
 from tdgbench.verify import truth, verify
 
 OURS = "cells/tdg/synthetic/turntable/colmap/seed0"

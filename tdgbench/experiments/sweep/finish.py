@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 from tdgbench.bench.outcome import SUCCESS, Outcome
 from tdgbench.experiments.error_message import error_message
 from tdgbench.present.strip import draw_strip
-from tdgbench.report.page import write_report
+from tdgbench.report.report_page import write_report
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show_findings, show_tables
 from tdgbench.terminal import say

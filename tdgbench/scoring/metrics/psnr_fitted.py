@@ -74,7 +74,7 @@ PSNR_AFFINE = ImageMetric(
     fits_to_test_view="gain and offset", of_images=lambda pair: psnr_affine(*pair.pixels),
 )  # fmt: skip
 PSNR_RIGHT_HALF = ImageMetric(
-    name="psnr_right_half", label="right half",
+    name="psnr_right_half", label="right half", beside="psnr",
     meaning="PSNR of each test view's right half, after the gain and offset that fit its left half best", order=44,
     **IN_DB, fits_to_test_view="gain and offset, to the left half", needs="valid pixels in both halves",
     of_images=lambda pair: psnr_right_half(pair.image, pair.target, pair.valid),

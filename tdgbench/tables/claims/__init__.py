@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from pydantic import TypeAdapter
 
 from tdgbench.tables.between_papers import gain_against_spread
-from tdgbench.tables.claims import cells, main_table
+from tdgbench.tables.claims import cell_checks, table_checks
 from tdgbench.tables.claims.evidence import UNDECIDED, Claim, ClaimEvidence, Finding, JudgedClaim, MissingError
 from tdgbench.tables.claims.quantities import QUANTITIES
 from tdgbench.tables.published import FOLDER, published_ablation, published_main
@@ -29,21 +29,21 @@ class Check(NamedTuple):
 
 
 CHECKS = {
-    "relative_gain": Check(main_table.relative_gain, ("metric", "percent")),
-    "averages": Check(main_table.averages, ("metric", "averages")),
-    "better_mostly": Check(main_table.better_mostly, ("dataset", "metrics")),
-    "better_scenes": Check(main_table.better_scenes, ("dataset", "metrics", "exceptions")),
-    "mixed": Check(main_table.mixed, ("dataset", "metrics")),
-    "minutes_saved": Check(main_table.minutes_saved, ("minutes",)),
-    "within": Check(main_table.within, ("dataset", "metric", "most")),
-    "ablation_agrees": Check(main_table.ablation_agrees, ("metrics",)),
-    "averages_follow": Check(main_table.averages_follow),
-    "bold_follows": Check(main_table.bold_follows),
-    "better": Check(cells.better, ("methods", "against", "margins"), of_tables=False),
-    "better_average": Check(cells.better_average, ("metrics",), of_tables=False),
-    "better_init": Check(cells.better_init, ("methods", "better", "margins"), of_tables=False),
-    "random_fails": Check(cells.random_fails, ("methods", "drop"), of_tables=False),
-    "attributed": Check(cells.attributed, ("share",), of_tables=False),
+    "relative_gain": Check(table_checks.relative_gain, ("metric", "percent")),
+    "averages": Check(table_checks.averages, ("metric", "averages")),
+    "better_mostly": Check(table_checks.better_mostly, ("dataset", "metrics")),
+    "better_scenes": Check(table_checks.better_scenes, ("dataset", "metrics", "exceptions")),
+    "mixed": Check(table_checks.mixed, ("dataset", "metrics")),
+    "minutes_saved": Check(table_checks.minutes_saved, ("minutes",)),
+    "within": Check(table_checks.within, ("dataset", "metric", "most")),
+    "ablation_agrees": Check(table_checks.ablation_agrees, ("metrics",)),
+    "averages_follow": Check(table_checks.averages_follow),
+    "bold_follows": Check(table_checks.bold_follows),
+    "better": Check(cell_checks.better, ("methods", "against", "margins"), of_tables=False),
+    "better_average": Check(cell_checks.better_average, ("metrics",), of_tables=False),
+    "better_init": Check(cell_checks.better_init, ("methods", "better", "margins"), of_tables=False),
+    "random_fails": Check(cell_checks.random_fails, ("methods", "drop"), of_tables=False),
+    "attributed": Check(cell_checks.attributed, ("share",), of_tables=False),
 }
 
 

@@ -14,10 +14,9 @@ from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import Record, no_records
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages, with_bold
 from tdgbench.tables.measures import AVERAGE, OVERALL
-from tdgbench.tables.results import read_results
+from tdgbench.tables.results import Cell, read_results
 
 HOLDS, FAILS, UNDECIDED = "holds", "fails", "undecided"
 
@@ -83,6 +82,11 @@ class Finding(NamedTuple):
 
     verdict: str
     grounds: str
+
+    @classmethod
+    def decided(cls, holds: bool, grounds: str) -> Finding:
+        """Return the finding that a claim holds, or that it fails."""
+        return cls(HOLDS if holds else FAILS, grounds)
 
 
 @dataclass(frozen=True)

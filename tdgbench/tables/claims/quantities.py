@@ -13,10 +13,10 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.scoring import METRICS
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims.evidence import Claim
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import MEASURES
+from tdgbench.tables.results import Cell
 
 NumberOf = Callable[[Cell, Claim], float | None]  # None or NaN: n/a
 NumbersOf = Callable[[Cell, Cell, Claim], tuple[float, float] | None]
@@ -42,6 +42,14 @@ class Quantity:
     def sign(self) -> int:
         """1 where higher is better, else −1."""
         return 1 if self.higher else -1
+
+    def gain(self, mine: float, other: float) -> float:
+        """Return by how much the first number is better: log(other / mine) of a ratio, else the difference."""
+        return float(np.log(other / mine)) if self.ratio else self.sign * (mine - other)
+
+    def least_gain(self, margin: float) -> float:
+        """Return the gain that a claim's margin stands for: a share of a ratio (0.1: 10 % less), else a difference."""
+        return float(-np.log1p(-margin)) if self.ratio else margin
 
 
 def _of_each(number: NumberOf) -> NumbersOf:

@@ -8,7 +8,7 @@ import shutil
 import pytest
 
 from benchmarks.killed.compare import compare
-from tdgbench.report.page import write_report
+from tdgbench.report.report_page import write_report
 from tdgbench.tables.build import build_tables
 
 

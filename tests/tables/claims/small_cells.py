@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.cells.record import Record
-from tdgbench.tables.cell import Cell
+from tdgbench.tables.results import Cell
 
 
 def cell(folder: Path, method="tdg", gain=0.0, *, scene="a", seed=0, init="colmap", iterations=1000, **fields) -> Cell:

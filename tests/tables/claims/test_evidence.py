@@ -6,7 +6,6 @@ from tdgbench.cells.record import Failure, Record
 from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
 from tdgbench.tables.published import published_main
 from tests.helpers.records import write_record
-from tests.tables.claims.small_cells import write_log
 
 
 def write(experiment, method="tdg", psnr=30.0, scene="orbit", dataset="synthetic", iterations=1000, **fields):
@@ -83,10 +82,3 @@ def test_the_papers_scenes_are_all_asked_for(tmp_path):
     assert found.is_of_paper and found.overall == "Average (Overall)"
     assert len(set(found.main["scene"])) == 16
     assert ClaimEvidence(published_main(), None, printed=True).overall == "Average (Overall)"
-
-
-def test_a_cell_has_its_log(tmp_path):
-    write_log(write(tmp_path), gain=0.0, iterations=1000)
-    write(tmp_path, seed=1)
-    first, second = evidence_of([tmp_path]).cells
-    assert len(first.log) == 200 and second.log is None

@@ -4,7 +4,7 @@ import io
 import numpy as np
 from PIL import Image
 
-from tdgbench.report.scene import scene_section
+from tdgbench.report.scene_section import scene_section
 from tdgbench.tables.results import read_results
 
 
@@ -50,12 +50,6 @@ def test_masked_pixels_are_gray_and_named(masked_results):
 
 def shown(uri: str) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))))
-
-
-def test_without_masks_nothing_is_said(small_results):
-    cells = cells_of(small_results)
-    assert scene_section("synthetic", "turntable", cells)["masked"] == ""
-    assert cells[0].record.masked == {"train": 0.0, "test": 0.0} and not (cells[0].folder / "masks").exists()
 
 
 def cells_of(experiment):

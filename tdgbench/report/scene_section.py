@@ -12,14 +12,14 @@ from tdgbench.bench.failures import message
 from tdgbench.cells.ground_truth import masked_in_words
 from tdgbench.present.colours import THERMAL, colored, in_colour, shaded
 from tdgbench.present.figures import any_font, plain
-from tdgbench.present.pages import embedded
-from tdgbench.present.pictures import DEPTH, ERROR_RANGE, middle_view, rendered_depth, view_pictures
+from tdgbench.present.html import embedded
+from tdgbench.present.view_pictures import DEPTH, ERROR_RANGE, middle_view, rendered_depth, view_pictures
 from tdgbench.scoring.metrics.seen_pixels import is_barely_seen
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import MEASURES
+from tdgbench.tables.results import Cell
 
 CURVES = {"loss": "loss", "smoothed_psnr": "PSNR of training renders, dB", "gaussians": "Gaussians"}
 

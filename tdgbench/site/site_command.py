@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from tdgbench.site.packed import opened_packs
-from tdgbench.site.pages import write_site
+from tdgbench.site.site_pages import write_site
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 

@@ -10,11 +10,11 @@ import pandas as pd
 
 from tdgbench.cells.record import Record
 from tdgbench.compare.causes import KINDS, Cause
-from tdgbench.compare.cells import ComparedCell, Pairs, comparison_grid
+from tdgbench.compare.compared_cells import ComparedCell, Pairs, comparison_grid
 from tdgbench.files import write_text
 from tdgbench.present.colours import colored, in_colour
-from tdgbench.present.pages import embedded, environment
-from tdgbench.present.pictures import ERROR, ERROR_RANGE
+from tdgbench.present.html import embedded, environment
+from tdgbench.present.view_pictures import ERROR, ERROR_RANGE
 from tdgbench.tables.assumptions import AssumedDifference, assumed_rows
 
 MOST_PICTURES = 24  # of cells, so that a page stays some megabytes
@@ -31,7 +31,7 @@ def write_page(
 ) -> None:
     """Write the page. names: of A and B. table: from `score_table`. otherwise: what was assumed in another way."""
     shown = [(place, min(seeds.items())) for place, seeds in pairs.by_place.items()]
-    html = environment("tdgbench.compare").get_template("page.html.j2").render(
+    html = environment("tdgbench.compare").get_template("comparison_page.html.j2").render(
         a=names[0], b=names[1], findings=findings,
         causes=[(kind, meaning, [cause.sentence(len(pairs)) for cause in causes if cause.kind == kind])
                 for kind, meaning in KINDS.items()],

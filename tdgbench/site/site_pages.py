@@ -12,21 +12,20 @@ from tdgbench.cells.ground_truth import truth_groups
 from tdgbench.cells.key import flat
 from tdgbench.files import whole_folder
 from tdgbench.packs.manifest import SHOWN
-from tdgbench.present.pages import environment
-from tdgbench.present.pictures import ERROR_RANGE
-from tdgbench.report.page import environments
-from tdgbench.report.scores import legend
+from tdgbench.present.html import environment
+from tdgbench.present.view_pictures import ERROR_RANGE
+from tdgbench.report.report_page import environments, legend
 from tdgbench.resources import conf_folder
 from tdgbench.site.packed import BoardRow, Pack, method_page, rows_of, scene_page
-from tdgbench.site.pictures import cards_of, files_of_cards
-from tdgbench.site.plot import plot
+from tdgbench.site.picture_cards import cards_of, files_of_cards
+from tdgbench.site.psnr_time_plot import plot
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows, doubts_of
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims import judge_claims, load_claims
 from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
 from tdgbench.tables.measures import COLUMNS, MEASURES
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
+from tdgbench.tables.results import Cell
 
 HEADS = [MEASURES[name].title for name in COLUMNS]
 

@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tdgbench.tables.claims.cell_pairs import (
+    Interval,
+    Side,
+    all_of,
+    counts_in_words,
+    gain_interval,
+    judge_gain,
+    make_pairs,
+)
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Finding
-from tdgbench.tables.claims.pairs import Interval, Side, all_of, counts_in_words, gain_interval, judge_gain, make_pairs
 from tests.tables.claims.small_cells import cell
 
 TDG, SMOOTH = Side("tdg", "colmap"), Side("3dgs_smooth", "colmap")

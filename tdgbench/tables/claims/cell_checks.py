@@ -13,18 +13,8 @@ from typing import Final
 import numpy as np
 
 from tdgbench.tables import methods
-from tdgbench.tables.cell import Cell
-from tdgbench.tables.claims import main_table
-from tdgbench.tables.claims.evidence import (
-    UNDECIDED,
-    Claim,
-    ClaimEvidence,
-    Finding,
-    MissingError,
-    as_published,
-    published_lengths,
-)
-from tdgbench.tables.claims.pairs import (
+from tdgbench.tables.claims import table_checks
+from tdgbench.tables.claims.cell_pairs import (
     CellPair,
     Interval,
     Side,
@@ -34,7 +24,17 @@ from tdgbench.tables.claims.pairs import (
     judge_gain,
     make_pairs,
 )
+from tdgbench.tables.claims.evidence import (
+    UNDECIDED,
+    Claim,
+    ClaimEvidence,
+    Finding,
+    MissingError,
+    as_published,
+    published_lengths,
+)
 from tdgbench.tables.claims.quantities import QUANTITIES, Quantity
+from tdgbench.tables.results import Cell
 
 COLMAP: Final = "colmap"
 
@@ -52,7 +52,7 @@ def better(claim: Claim, evidence: ClaimEvidence) -> Finding:
 def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method beats its baseline in the mean of each of `metrics`, as printed or over cells."""
     if evidence.printed:
-        return main_table.average_gains(claim, evidence)
+        return table_checks.average_gains(claim, evidence)
     _need_cells(claim, evidence)
     new, old = (
         {
@@ -87,7 +87,7 @@ def better_init(claim: Claim, evidence: ClaimEvidence) -> Finding:
 def random_fails(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that all `methods` lose at least `drop` dB of PSNR from random points: as printed, or pair by pair."""
     if evidence.printed:
-        return main_table.ablation_drop(claim, evidence)
+        return table_checks.ablation_drop(claim, evidence)
     return better_init(replace(claim, better=COLMAP, margins={"psnr": claim.drop}), evidence)
 
 
@@ -144,36 +144,28 @@ def _compare(claim: Claim, evidence: ClaimEvidence, sides: Sequence[tuple[Side, 
 
 def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[CellPair]) -> list[Finding]:
     """Return the finding on one quantity of pairs with equal iterations; none where no pair has it."""
-    if quantity.timed:
-        pairs = [pair for pair in pairs if pair.mine.machine == pair.other.machine]
-    both = [(pair, found) for pair in pairs if (found := quantity.numbers(*pair, claim)) is not None]
-    if quantity.ratio:
-        both = [(pair, found) for pair, found in both if min(found) > 0]
+    both = _pairs_with(quantity, pairs, claim)
     if not both:
         return []
     scenes, numbers = [pair.mine.dataset_and_scene for pair, _ in both], [found for _, found in both]
-    gain, least = (_log_ratio if quantity.ratio else _difference)(quantity, scenes, numbers, margin)
+    gain = gain_interval(scenes, [quantity.gain(mine, other) for mine, other in numbers])
     cells = both[0][0]
     mine, other = (Side(cell.record.method, cell.record.init) for cell in cells)
     names = f"{_name(mine, other)} {'/' if quantity.ratio else '−'} {_name(other, mine)}"
     lengths = " and ".join(str(budget) for budget in dict.fromkeys(cell.planned_iterations for cell in cells))
     value = _ratio_text(gain) if quantity.ratio else _difference_text(gain, quantity)
     grounds = f"{quantity.label}, {names} at {lengths}: {value}, {counts_in_words(gain)}"
-    return [Finding(judge_gain(gain, least), grounds)]
+    return [Finding(judge_gain(gain, quantity.least_gain(margin)), grounds)]
 
 
-def _log_ratio(
-    quantity: Quantity, scenes: Sequence[tuple[str, str]], numbers: Sequence[tuple[float, float]], margin: float
-) -> tuple[Interval, float]:
-    """Return the interval of log(other / mine), where lower is better, and the least gain for a share `margin`."""
-    return gain_interval(scenes, [float(np.log(b / a)) for a, b in numbers]), float(-np.log1p(-margin))
-
-
-def _difference(
-    quantity: Quantity, scenes: Sequence[tuple[str, str]], numbers: Sequence[tuple[float, float]], margin: float
-) -> tuple[Interval, float]:
-    """Return the interval of mine − other, with the sign of a gain, and the least gain."""
-    return gain_interval(scenes, [quantity.sign * (a - b) for a, b in numbers]), margin
+def _pairs_with(
+    quantity: Quantity, pairs: Sequence[CellPair], claim: Claim
+) -> list[tuple[CellPair, tuple[float, float]]]:
+    """Return the pairs that have a quantity, with its numbers: times of one machine, and ratios of numbers above 0."""
+    if quantity.timed:
+        pairs = [pair for pair in pairs if pair.mine.machine == pair.other.machine]
+    both = [(pair, found) for pair in pairs if (found := quantity.numbers(*pair, claim)) is not None]
+    return [(pair, found) for pair, found in both if not quantity.ratio or min(found) > 0]
 
 
 def _name(side: Side, other: Side) -> str:

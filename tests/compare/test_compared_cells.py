@@ -11,8 +11,8 @@ from PIL import Image
 
 from tdgbench.cells.record import read_record
 from tdgbench.compare.causes import MACHINE, PROTOCOL, TRAINING, find_causes, settings
-from tdgbench.compare.cells import find_pairs, score_table
-from tdgbench.compare.command import main
+from tdgbench.compare.compare_command import main
+from tdgbench.compare.compared_cells import find_pairs, score_table
 from tdgbench.tables.results import read_results
 from tests.helpers.html_page import HtmlPage
 from tests.helpers.records import record, write
@@ -46,14 +46,6 @@ def test_verdicts_are_of_the_differences_of_equal_seeds(tmp_path, psnr_b, verdic
     assert row["verdict"] == verdict
     assert row["difference"] == pytest.approx(np.mean(psnr_b) - 21.0)
     assert (row["ci90_low"] <= row["difference"] <= row["ci90_high"]) and row["seeds"] == 3
-
-
-def test_a_smaller_lpips_is_better(tmp_path):
-    for name, lpips in (("a", 0.3), ("b", 0.1)):
-        for seed in range(2):
-            write(tmp_path / name, seed=seed, scores={"lpips": lpips})
-    table = score_table(pairs_of(tmp_path / "a", tmp_path / "b"), are_repeats=False)
-    assert table.set_index("metric").loc["lpips", "verdict"] == "better"
 
 
 def test_the_spread_of_a_repeat_is_not_that_of_seeds(tmp_path):

@@ -10,8 +10,8 @@ from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.record import read_each
 from tdgbench.cells.renders import render_model
 from tdgbench.present.colours import colored, expected_depth
-from tdgbench.present.pages import embedded
-from tdgbench.present.pictures import rendered_depth
+from tdgbench.present.html import embedded
+from tdgbench.present.view_pictures import rendered_depth
 from tests.helpers.cells import run_quietly
 from tests.helpers.configs import QUICK, config
 

@@ -17,10 +17,10 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.present.grid import Grid, GridCell, GridRow
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import MEASURES, as_text
 from tdgbench.tables.palette import COLUMN, MARK, image_values, palette_notes
+from tdgbench.tables.results import Cell
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED, judge_score, load_margins, seeds_interval
 
 IDENTICAL, EQUIVALENT = "identical", "equivalent"

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Finding
+from tdgbench.tables.results import Cell
 from tdgbench.tables.statistics import mean_interval
 
 

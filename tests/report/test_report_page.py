@@ -12,7 +12,7 @@ from markupsafe import escape
 
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import Failure
-from tdgbench.report.page import write_report
+from tdgbench.report.report_page import write_report
 from tdgbench.tables.build import build_tables
 from tdgbench.terminal import printable
 from tests.helpers.browser import CHROMIUM, opened

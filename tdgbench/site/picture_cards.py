@@ -12,10 +12,10 @@ import numpy as np
 from PIL import Image
 
 from tdgbench.cells.protocol import protocol_settings
-from tdgbench.present.pictures import grayed, middle_view, view_pictures
+from tdgbench.present.view_pictures import grayed, middle_view, view_pictures
 from tdgbench.site.packed import Pack
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.long_table import method_label
+from tdgbench.tables.results import Cell
 
 MOST_BYTES = 800_000  # of a page's pictures
 WIDTHS = (640, 480, 400, 320, 240, 160, 120, 80, 48)  # px; the largest that fits is taken

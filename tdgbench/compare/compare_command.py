@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tdgbench.compare.causes import KINDS, MACHINE, PROTOCOL, Cause, find_causes
-from tdgbench.compare.cells import (
+from tdgbench.compare.compared_cells import (
     IDENTICAL,
     NUMBERS,
     Pairs,
@@ -20,15 +20,14 @@ from tdgbench.compare.cells import (
     score_table,
     verdicts_by_metric,
 )
-from tdgbench.compare.page import write_page
+from tdgbench.compare.comparison_page import write_page
 from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
 from tdgbench.scoring import METRICS
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
-from tdgbench.tables.cell import Cell
 from tdgbench.tables.measures import COLUMNS, GAUSSIANS, MEASURES, as_text
-from tdgbench.tables.results import read_results
+from tdgbench.tables.results import Cell, read_results
 from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
