@@ -37,7 +37,7 @@ class Frame:
 
 
 def frames_of(scene: Scene) -> dict[str, Frame]:
-    """Return the frame of each view of a scene, by name; they are numbered, and timed from 0 to 1, in this order."""
+    """Return the frame of each view of a scene by name. Numbers, and times from 0 to 1, follow the order of names."""
     views = sorted(scene.views, key=lambda view: view.name)
     last = max(len(views) - 1, 1)
     return {view.name: Frame(view.camera, index, index / last) for index, view in enumerate(views)}
@@ -81,7 +81,8 @@ class ViewOrder(RandomStream):
 class Context:
     """Inputs of a stage: scene, initial points, depth priors by view (empty if the method needs none), budget.
 
-    Its methods make parts and add them to `parts` by name. The training loop calls them, a checkpoint saves them.
+    A method makes its parts through the context, which keeps them by name. The training loop drives them, and a
+    checkpoint saves them.
     """
 
     scene: Scene
@@ -175,7 +176,7 @@ class Context:
         start: by default Gaussians at the initial points. extra_fields: further fields (N, ...) of these; each needs a
         learning rate. learning_rates: of fields, instead of the budget's: a number (0: frozen), or the parameter whose
         rate it shares. position_unit: of the means' learning rate, world units; by default the scene's extent.
-        budget: SH degree, rates and density control, as long as the stage's; by default that.
+        budget: its SH degree, rates and density control are used; by default the stage's budget, whose length it has.
         """
         budget, images = self.adapted(budget or self.budget, modality), MODALITIES[modality]
         stream = RandomStream(self._seed())

@@ -1,19 +1,20 @@
 """The rule for growth: a Gaussian grows if its halves have significantly different residuals over several views.
 
-Splitting or cloning a Gaussian lets its two halves have different values. That explains the contrast of the residuals r
-in its halves, whose means m differ. With the blending weights w of a half summed to W, a view gives
+A Gaussian that is split or cloned can have a value in each half. That helps where the residual has a contrast: its
+means m₁ and m₂ in the halves differ. W₁ and W₂ are the sums of the blending weights w of the halves. In a view, the
+contrast is D, to which noise of standard deviation σ in every pixel adds at most σ √W, since w ≤ 1:
 
-    D = 2 W₁ W₂ / (W₁ + W₂) (m₁ − m₂), to which noise of standard deviation σ in every pixel adds at most
-    σ √W, W = 4 W₁ W₂ / (W₁ + W₂), as w ≤ 1.
+    D = 2 W₁ W₂ / (W₁ + W₂) (m₁ − m₂),  W = 4 W₁ W₂ / (W₁ + W₂)
 
-Both are summed over views, D with its sign. A residual that is the same in both halves gives none, also where one is
-hidden or beyond the image's edge: another value of the whole Gaussian explains it, or the drift of a view. A Gaussian
-may grow if its strength, the root mean square of D over the channels in units of σ √W, exceeds `z`. Errors of single
-views have different signs and cancel in D. σ is the noise of full-size images; downscaled ones have less, so that their
-test is stricter. The variance of D between views is no help: a model that lacks Gaussians has as much of it as noise.
+D, with its sign, and W are summed over views. A Gaussian may grow if its strength exceeds `z`: the root mean square of
+D over the channels, divided by σ √W. Errors of single views have different signs and cancel in D. A residual that is
+equal in both halves has no contrast, also where one half is hidden or beyond the image's edge: another value of the
+whole Gaussian explains it, or the drift of a view. σ is the noise of full-size images. Smaller ones have less noise, so
+that the test is stricter for them. The variance of D between views is no measure of noise: a model that lacks Gaussians
+has as much of it.
 
-Where images have little noise, nearly all Gaussians pass. D² / W is by how much two values in the place of one lower
-the squared error. So those grow, the strongest first, that together make up `share` of what all that pass would gain.
+Where images have little noise, nearly all Gaussians pass. A Gaussian that grows lowers the squared error by D² / W, its
+gain. The strongest grow, as many as make up `share` of the gain of all that pass.
 """
 
 from __future__ import annotations
@@ -50,12 +51,12 @@ FAINTER = 0.5 / NARROWER  # opacity of a half: both together have the Gaussian's
 
 @dataclass(frozen=True)
 class GrowthRule(Rule):
-    """Let Gaussians grow on the evidence of rendered training views, in the place of a threshold of gradients."""
+    """Let Gaussians grow where rendered training views show that they should, instead of by a gradient's threshold."""
 
     views: PositiveInt  # training views that a round renders
-    z: NonNegativeFloat  # standard deviations of noise by which the halves of a Gaussian that grows differ
-    share: Annotated[float, Field(gt=0, le=1)]  # of the gain that these promise, which the strongest that grow make up
-    clearance: NonNegativeFloat  # standard deviations between a Gaussian's centre and a camera; others are pruned
+    z: NonNegativeFloat  # least contrast between the halves of a Gaussian that grows, standard deviations of noise
+    share: Annotated[float, Field(gt=0, le=1)]  # of the gain of all that pass `z`; the strongest that make it up grow
+    clearance: NonNegativeFloat  # standard deviations; a Gaussian whose centre is nearer to a camera is pruned
 
     def growth(
         self,

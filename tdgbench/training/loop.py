@@ -63,8 +63,8 @@ def train(
     at its end; the clock is stopped during the last two. log: of earlier iterations, to resume after them. The log of a
     method that does not train is empty.
 
-    On a GPU, loss and gradients are checked after the next step has been rendered (`Pending`), or before a line of the
-    log, a checkpoint, `before_update` and the end of a stage: the host waits for the number of pairs alone.
+    On a GPU, loss and gradients are checked late, so that the host waits for the number of pairs alone: after the next
+    step has been rendered (`Pending`), and before a line of the log, a checkpoint, `before_update` and a stage's end.
 
     Raises NonFiniteError at the first loss, gradient or parameter that is not finite, and EmptyModelError when a model
     has no Gaussian.
@@ -84,7 +84,7 @@ def train(
 
 @dataclass
 class _Loop:
-    """The iterations of a training, with those who are told of them."""
+    """The iterations of a training, and the functions that it calls."""
 
     trainer: Trainer
     log: TrainingLog

@@ -49,17 +49,17 @@ class Stage(NamedTuple):
 
 
 class Method:
-    """A way to train. A subclass implements `setup` and `step` or, for several stages, `stages`; and `render`, unless
-    that of `model` does.
+    """A way to train. A subclass implements `setup` and `step`, or `stages` if there are several.
 
-    Everything that changes during training is a part, made through the context (`tdgbench.training.part`).
+    It also implements `render`, unless it renders `model` as it is. Everything that changes during training is a part,
+    made through the context (`tdgbench.training.part`).
     """
 
     model: SplatModel  # what `render` renders by default
 
     name: str = ""  # of its YAML file; `set_up` sets it
     modalities: tuple[str, ...] = ("thermal",)  # the images that it trains on, and renders; `thermal` is scored
-    renders_plain_gaussians: bool = True  # of the modality's name, as they are: no hooks, no networks
+    renders_plain_gaussians: bool = True  # each modality's as stored under its name: no hooks, no networks
     needs_prior: bool = False  # whether `context.priors` has a depth prior per training view, for a loss of depth
     trains: bool = True  # False: what it renders was made elsewhere; it is set up and makes no step
     notes: Sequence[str] = ()  # of `setup`, for the record and the terminal

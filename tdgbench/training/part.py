@@ -26,13 +26,13 @@ class Part:
     def step(self, iteration: int) -> Callable[[], str | None] | str | None:
         """Make an optimiser step; called after the backward pass of each iteration.
 
-        Returns the name of a parameter whose gradient is not finite, or None; or a function that returns this, which
-        is called after the next step has been rendered: on a GPU, the host need not wait for it.
+        Returns the name of a parameter whose gradient is not finite, or None. A part on a GPU may return a function
+        that does so. The loop calls it after the next step has been rendered, when the host need not wait for it.
         """
         return None
 
     def set_slowdown(self, factor: float) -> None:
-        """Set the factor of all learning rates, at most 1; it replaces an earlier one."""
+        """Multiply all learning rates by a factor, at most 1, from now on; it replaces an earlier factor."""
 
     def stop_growth(self, iteration: int) -> None:
         """Add and remove no Gaussians from an iteration on."""

@@ -105,7 +105,7 @@ class Rig(Part):
         return rigid @ given.viewmat, K + moved
 
     def _lens(self, seen: GaussianTensors, K: Tensor, given: Pinhole) -> GaussianTensors:
-        """Distort the means; those of K's numbers, which the renderer takes as they are, get their gradients here."""
+        """Distort the means. They also carry the gradients of K, since the renderer takes K without gradient."""
         x, y, z = seen.means.unbind(-1)
         focal, center = K[0, 0] / K[0, 0].detach(), (K[:2, 2] - K[:2, 2].detach()) / torch.stack([K[0, 0], K[1, 1]])
         corner = float(torch.linalg.norm(torch.tensor([given.width / given.K[0, 0], given.height / given.K[1, 1]]))) / 2

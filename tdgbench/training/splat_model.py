@@ -178,8 +178,8 @@ class SplatModel(Part):
     def step(self, iteration: int) -> Callable[[], str | None] | str | None:
         """Do density control, then an Adam step.
 
-        Gaussians have no step after a round of density control, and none for opacities after their reset. Adam has
-        used a gradient that is not finite. Raises EmptyModelError if no Gaussian is left.
+        After a round of density control there is no step, after a reset none of the opacities. A gradient that is named
+        as not finite has been used already. Raises EmptyModelError if no Gaussian is left.
         """
         views, self._views = self._views, []
         gradients, statistics = self._gradients_of(views, iteration)

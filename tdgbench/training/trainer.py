@@ -62,14 +62,14 @@ class Trainer:
         return self.context.parts
 
     def all_parts(self) -> dict[str, Part]:
-        """Return all parts by name. A finished stage's part is stage/name where the current stage reuses the name."""
+        """Return all parts by name; stage/name is a finished stage's part whose name the current stage has as well."""
         finished = {name if name not in self.parts else f"{stage}/{name}": part for stage, name, part in self._finished}
         stopping = {} if self.stopping is None else {"stopping": self.stopping}
         return {**finished, **self.parts, **stopping}
 
     @property
     def gaussians(self) -> dict[str, SplatModel]:
-        """The Gaussians by name; those of a finished stage are left out if the current stage reuses their name."""
+        """The Gaussians by name, without those of a finished stage whose name the current stage has as well."""
         parts = self.all_parts().items()
         return {name: part for name, part in parts if isinstance(part, SplatModel) and "/" not in name}
 
