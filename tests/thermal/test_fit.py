@@ -40,22 +40,8 @@ def test_terms_that_are_not_estimated_are_ideal():
     assert (found.response.offsets == 0).all()
 
 
-def test_priors_hold_what_is_unknown():
-    data, _ = observations(OFFSETS, GAINS)
-    found = fit(data.select(data.view != 5), ALL, loose(data))
-    assert found.response.gains[5] == pytest.approx(1) and found.response.offsets[5] == pytest.approx(0)
-
-
 def test_what_few_values_tell_little_about_is_drawn_to_the_prior():
     data, _ = observations(OFFSETS, np.ones(12), noise=3.0)
     few = data.select((data.view != 11) | (np.arange(len(data.value)) % 40 == 0))
     whole, drawn = (fit(one, Terms(offsets=True), loose(one)).response.offsets[11] for one in (data, few))
     assert whole == pytest.approx(4, abs=0.6) and drawn < whole - 0.3
-
-
-def test_directions_without_a_value_are_undetermined():
-    data, _ = observations(OFFSETS, GAINS)
-    counts = [fit(data, terms, loose(data)).undetermined for terms in (Terms(vignette=True), Terms(offsets=True), ALL)]
-    assert counts == [0, 1, 2]
-    unseen = data.select(data.view != 5)
-    assert fit(unseen, ALL, loose(unseen)).undetermined == 4

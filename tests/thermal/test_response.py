@@ -19,21 +19,13 @@ def random_camera(camera, seed):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_was_corrected_is_shown_again(drifting_scene, drifting_camera, seed):
     scene, response = corrected(drifting_scene, random_camera(drifting_camera, seed))
     assert (response.low, response.high) != (0, 1) and response.vignette
     for before, after in zip(drifting_scene.train, scene.train, strict=True):
         shown = response.of(after.thermal, after.name)
         assert shown.dtype == np.float32 and np.abs(shown - before.thermal).max() < 2e-6
-
-
-def test_what_was_corrected_is_shown_again_where_it_was_measured(drifting_scene, drifting_camera):
-    valid = np.random.default_rng(0).random((72, 96)) < 0.7
-    train = [replace(view, load_valid=lambda: valid) for view in drifting_scene.train]
-    scene, response = corrected(replace(drifting_scene, train=train), random_camera(drifting_camera, 0))
-    for before, after in zip(train, scene.train, strict=True):
-        assert np.abs(response.of(after.thermal, after.name) - before.thermal)[valid].max() < 2e-6
 
 
 def test_a_scene_without_temperatures_has_a_response_in_image_values(drifting_scene, drifting_camera):

