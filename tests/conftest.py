@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 import signal
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import omegaconf.omegaconf
 import pytest
 import torch
+import yaml
+from omegaconf._utils import get_yaml_loader
 from rich.console import Console
 
 from tdgbench.bench.backend_check import choose
@@ -37,6 +43,19 @@ def ctrl_c_is_heard() -> None:
 def torch_has_one_thread() -> None:
     """As in cells. Two processes of tests with two OpenMP threads each would mostly wait for one another."""
     torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def yaml_files_are_parsed_once() -> Iterator[None]:
+    """Hydra parses some twenty of them for each configuration, and composes two for each command."""
+    parsed = cache(lambda text: yaml.load(text, Loader=get_yaml_loader()))
+
+    def load(source, Loader):
+        return copy.deepcopy(parsed(source if isinstance(source, str) else source.read()))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(omegaconf.omegaconf, "yaml", SimpleNamespace(load=load, dump=yaml.dump))
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -6,6 +6,7 @@ import importlib
 import re
 import subprocess
 import sys
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -41,27 +42,46 @@ def test_every_plug_in_has_its_yaml():
     files = (ROOT / "conf" / "method").glob("*.yaml")
     named = {p.stem: config(f"method={p.stem}").method.method._target_ for p in files}
     assert {target.split(".")[1] for target in named.values()} == methods  # one method, several sets of constants
-    priors = {p.stem for p in (ROOT / "tdgbench" / "priors").glob("*.py")} - {
-        "__init__",
-        "prior",
-        "cache",
-        "hub",
-        "visible",
-    }
+    priors = {p.stem for p in (ROOT / "tdgbench" / "priors").glob("*.py")} - {"__init__", "prior"}
     assert priors == {p.stem for p in (ROOT / "conf" / "prior").glob("*.yaml")}
 
 
+PACKAGES = [path for name in ("tdgbench", "methods") for path in sorted((ROOT / name).rglob("*.py"))]
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def test_no_unsafe_calls():
-    for path in [*Path(ROOT / "tdgbench").rglob("*.py"), *Path(ROOT / "methods").rglob("*.py")]:
-        text = path.read_text()
+    """Nothing runs text; what is printed goes through the guard of `tdgbench.terminal`; text files are UTF-8."""
+    for path in PACKAGES:
+        text = path.read_text(encoding="utf-8")
         for bad in ("eval(", "exec(", "pickle.load", "weights_only=False", "allow_pickle=True"):
             hits = [line for line in text.splitlines() if re.search(rf"(?<![\w.]){re.escape(bad)}", line)]
             assert not hits, f"{path}: {hits}"
+        for call in (node for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)):
+            where, named = f"{path}:{call.lineno}", {keyword.arg for keyword in call.keywords}
+            assert not opens_text(call) or "encoding" in named, where
+            name = call.func.id if isinstance(call.func, ast.Name) and path.name != "terminal.py" else ""
+            assert name != "print" and (name != "Console" or "quiet" in named), where
+
+
+def opens_text(call: ast.Call) -> bool:
+    """Whether a call reads or writes text through a path's method or `open`."""
+    mode = call.args[0].value if call.args and isinstance(call.args[0], ast.Constant) else "r"
+    if isinstance(call.func, ast.Name):
+        return call.func.id == "open"
+    others = ("os", "Image", "member", "archive", "pycolmap.Database")
+    if not isinstance(call.func, ast.Attribute) or ast.unparse(call.func.value) in others:
+        return False
+    return call.func.attr in ("read_text", "write_text") or (call.func.attr == "open" and "b" not in str(mode))
 
 
 def imported_modules(path: Path) -> set[str]:
     """Dotted names that a file imports, functions of a module included, also in code that it holds as a string."""
-    found, pending = set(), [ast.parse(path.read_text())]
+    found, pending = set(), [tree_of(path)]
     while pending:
         for node in ast.walk(pending.pop()):
             if isinstance(node, ast.ImportFrom):
@@ -76,8 +96,9 @@ def imported_modules(path: Path) -> set[str]:
 
 def test_there_is_no_circle():
     """No module imports itself by way of others, nor for its types alone."""
-    paths = [path for package in ("tdgbench", "methods") for path in (ROOT / package).rglob("*.py")]
-    names = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in paths}
+    names = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in PACKAGES
+    }
     imports: dict[str, set[str]] = {}
     for name, path in names.items():
         found = imported_modules(path)
@@ -87,17 +108,14 @@ def test_there_is_no_circle():
     list(TopologicalSorter(imports).static_order())  # raises CycleError, naming the circle
 
 
-def test_no_test_module_is_imported():
+def test_test_modules_are_not_imported_and_conftest_files_hold_fixtures_only():
     """What several test modules need is a fixture of a conftest.py or a helper module."""
     for path in (ROOT / "tests").rglob("*.py"):
         names = {part for name in imported_modules(path) if name.startswith("tests.") for part in name.split(".")}
         modules = {name for name in names if name.startswith("test_") or name == "conftest"}
         assert not modules, f"{path.relative_to(ROOT)} imports {sorted(modules)}"
-
-
-def test_conftest_files_hold_fixtures_only():
     for path in (ROOT / "tests").rglob("conftest.py"):
-        for node in ast.parse(path.read_text()).body:
+        for node in tree_of(path).body:
             if isinstance(node, ast.FunctionDef):
                 decorators = [ast.unparse(decorator) for decorator in node.decorator_list]
                 assert any(d.startswith("pytest.fixture") for d in decorators), f"{path}: {node.name} is no fixture"

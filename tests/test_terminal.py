@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import io
 import os
 import re
@@ -123,40 +122,6 @@ def test_a_terminal_keeps_its_width():
     text = STYLE.sub("", os.read(reader, 1 << 16).decode())
     os.close(reader)
     assert max(map(len, text.splitlines())) == 60 and "True True" in text and "a name with spaces" not in text
-
-
-def test_everything_is_printed_through_the_guard():
-    """No module makes a console of its own (a quiet one excepted) or prints past it."""
-    for path in [*(ROOT / "tdgbench").rglob("*.py"), *(ROOT / "methods").rglob("*.py")]:
-        if path.name == "terminal.py":
-            continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                quiet = any(keyword.arg == "quiet" for keyword in node.keywords)
-                assert node.func.id != "print" and (node.func.id != "Console" or quiet), f"{path}:{node.lineno}"
-
-
-def test_text_files_are_utf_8_in_every_locale():
-    for path in [*(ROOT / "tdgbench").rglob("*.py"), *(ROOT / "methods").rglob("*.py")]:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call) and _opens_text(node):
-                assert any(keyword.arg == "encoding" for keyword in node.keywords), f"{path}:{node.lineno}"
-
-
-def _opens_text(call: ast.Call) -> bool:
-    """Whether a call reads or writes text through a path's method or `open`."""
-    mode = call.args[0].value if call.args and isinstance(call.args[0], ast.Constant) else "r"
-    if isinstance(call.func, ast.Name):
-        return call.func.id == "open"
-    if not isinstance(call.func, ast.Attribute) or ast.unparse(call.func.value) in (
-        "os",
-        "Image",
-        "member",
-        "archive",
-        "pycolmap.Database",
-    ):
-        return False
-    return call.func.attr in ("read_text", "write_text") or (call.func.attr == "open" and "b" not in str(mode))
 
 
 def test_a_message_of_megabytes_is_cut(capsys):

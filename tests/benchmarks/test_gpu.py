@@ -20,6 +20,7 @@ def of(tmp_path, *words):
     return json.loads((tmp_path / "out" / "gpu.json").read_text()), run.stdout
 
 
+@pytest.mark.slow
 def test_runs_small_on_the_cpu(tmp_path, data_root):
     """Where Warp is installed; a backend that cannot run is a reason in the file."""
     need("warp")
@@ -66,6 +67,7 @@ def test_a_part_that_fails_loses_nothing(measurement):
     assert failed["n/a"].startswith("it ended by status 1: ")
 
 
+@pytest.mark.slow
 def test_tests_are_counted(measurement):
     found = measurement._tests(["-m", "not slow"], "tests/splats/test_columns.py")
     assert found["passed"] >= 1 and found["failed"] == [] and found["ended"] == "whole"

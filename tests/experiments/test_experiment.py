@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 
 from tdgbench.bench.options import OptionError
 from tdgbench.experiments.error_message import error_message
-from tdgbench.experiments.experiment import Experiment, check_results_folder, experiment_of
+from tdgbench.experiments.experiment import check_results_folder, experiment_of
 from tests.helpers.command import command_here
 from tests.helpers.configs import config
 
@@ -76,11 +76,6 @@ def test_a_sweep_and_a_failing_end(squares):
     assert squares.log.read_text().splitlines() == ["start [1, 2]", "run [1, 4] seed 5", "run [1, 4] seed 6", "end 2"]
 
 
-@pytest.mark.parametrize("name", ["error_time", "priors", "skips", "stress", "demo"])
-def test_every_experiment_file_names_an_experiment(name):
-    assert isinstance(experiment_of(config(f"+experiment={name}")), Experiment)
-
-
 def test_a_target_that_is_no_experiment_is_named():
     with pytest.raises(OptionError, match=r"study\._target_=pathlib\.Path: cannot be loaded: it is no"):
         experiment_of(OmegaConf.create({"study": {"_target_": "pathlib.Path"}}))
@@ -132,15 +127,22 @@ def test_a_folder_whose_name_is_too_long(tmp_path):
         ("budgets", "budget.iterations=500", "study.budgets.NAME.KEY=VALUE"),
     ],
 )  # fmt: skip
-def test_options_that_the_experiment_sets_itself_are_refused(tmp_path, experiment, word, instead):
-    run = command_here(tmp_path, f"+experiment={experiment}", word, f"results={tmp_path / 'results'}")
+def test_options_that_the_experiment_sets_itself_are_refused(experiment, word, instead):
+    with pytest.raises(OptionError) as error:
+        experiment_of(config(f"+experiment={experiment}")).check_typed(["data.width=64", word])
+    assert str(error.value).startswith(f"{word}: is set by the experiment; give {instead}")
+
+
+def test_a_typed_option_is_refused_before_a_run(tmp_path):
+    run = command_here(tmp_path, "+experiment=skips", "seed=3")
     assert run.returncode == 1 and run.stdout == ""
-    assert run.stderr.startswith(f"error: {word}: is set by the experiment; give {instead}"), run.stderr
+    assert run.stderr.startswith("error: seed=3: is set by the experiment; give study.seeds=[0,...]"), run.stderr
 
 
-@pytest.mark.parametrize("experiment", ["error_time", "skips", "stress", "priors", "thermal_camera"])
-def test_a_sweep_whose_jobs_would_replace_one_another_is_refused(tmp_path, experiment):
-    run = command_here(tmp_path, "-m", f"+experiment={experiment}", "budget.plateau=null,null")
+def test_a_sweep_whose_jobs_would_replace_one_another_is_refused(tmp_path):
+    for name in ("error_time", "skips", "stress", "priors", "thermal_camera"):
+        assert experiment_of(config(f"+experiment={name}")).one_job
+    run = command_here(tmp_path, "-m", "+experiment=skips", "budget.plateau=null,null")
     assert run.returncode == 1 and not (tmp_path / "results").exists()
     assert run.stderr == (
         "error: budget.plateau: has several values, whose results would replace one another: run each with its own "

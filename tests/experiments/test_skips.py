@@ -98,29 +98,17 @@ def test_a_loss_within_the_noise_of_the_seeds_is_none():
     assert not steady["keep"] and steady["psnr_worst"] == pytest.approx(-0.11)
 
 
-def overrides(tmp_path, data_root):
-    return (
+def test_cells_of_the_run_alone_have_a_row_and_failed_ones_none(tmp_path, data_root, capsys):
+    """A scene that is not there; cells of another method in the same folder."""
+    words = (
         "+experiment=skips", *SMALL, f"data.root={data_root}", f"results={tmp_path}", "budget.iterations=12",
-        "study.skips=[depth]",
     )  # fmt: skip
-
-
-def test_tables(tmp_path, data_root, capsys):
-    SkipAblation().run(config(*overrides(tmp_path, data_root), "study.scenes=[turntable]"))
-    table = pd.read_csv(tmp_path / "skips" / "skips.csv").set_index("skip")
-    assert list(table.index) == ["depth", "all together"] and table.loc["depth", "taken_on"] == "turntable"
-    assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4
-    assert "faster" in capsys.readouterr().out
-
-
-def test_a_failing_cell_is_reported_and_the_status_is_1(tmp_path, data_root, capsys):
+    SkipAblation().run(config(*words, "method=3dgs", "study.scenes=[turntable]", "study.skips=[]"))
     with pytest.raises(SystemExit):
-        SkipAblation().run(config(*overrides(tmp_path, data_root), "study.scenes=[turntable, nowhere]"))
-    assert "nowhere" in capsys.readouterr().out
+        SkipAblation().run(config(*words, "study.scenes=[orbit, nowhere]", "study.skips=[depth]"))
+    table = pd.read_csv(tmp_path / "skips" / "skips.csv").set_index("skip")
+    assert list(table.index) == ["depth", "all together"] and table.loc["depth", "taken_on"] == "orbit"
+    assert (table["image_values"] == "palette, not temperature").all()
     assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4
-
-
-def test_cells_of_another_method_in_the_folder_have_no_part(tmp_path, data_root):
-    for method in ("3dgs", "tdg"):
-        SkipAblation().run(config(*overrides(tmp_path, data_root), f"method={method}", "study.scenes=[turntable]"))
-    assert len(pd.read_csv(tmp_path / "skips" / "skips_cells.csv")) == 4
+    said = capsys.readouterr().out
+    assert "faster" in said and "nowhere" in said

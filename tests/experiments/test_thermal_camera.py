@@ -16,7 +16,7 @@ SMALL = (
 )  # fmt: skip
 FEW = (
     "~study.methods.tdg", "~study.methods.tdg_released", "~study.methods.msmg", "~study.captures.noise",
-    "~study.captures.tilted",
+    "~study.captures.vignette", "+study.captures.drift.vignette_degC=2.6", "~study.captures.tilted",
 )  # fmt: skip
 
 
@@ -30,18 +30,18 @@ def finished(tmp_path_factory):
 
 def test_every_combination_has_a_row(finished):
     table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a")
-    assert list(table["capture"].unique()) == ["clean", "drift", "vignette", "agc"]
-    assert list(table["thermal_camera"].unique()) == ["ideal", "estimated"] and len(table) == 8
+    assert list(table["capture"].unique()) == ["clean", "drift", "agc"]
+    assert list(table["thermal_camera"].unique()) == ["ideal", "estimated"] and len(table) == 6
     assert table["psnr_true"].notna().all() and table["psnr_affine"].notna().all()
     cells = pd.read_csv(finished / "thermal_camera_cells.csv", na_values="n/a")
-    assert len(cells) == 8 and list(cells["camera_seconds"] > 0) == list(cells["thermal_camera"] != "ideal")
+    assert len(cells) == 6 and list(cells["camera_seconds"] > 0) == list(cells["thermal_camera"] != "ideal")
 
 
 def test_parameters_are_compared_with_the_true_ones(finished):
     table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a").set_index(["capture", "thermal_camera"])
     worst = table["offset_degC_worst"]
     assert worst["drift", "ideal"] > 1 and worst["drift", "estimated"] < 0.2  # the gains are not clear
-    assert table.loc[("vignette", "ideal"), "vignette_degC_worst"] > 1
+    assert table.loc[("drift", "ideal"), "vignette_degC_worst"] > 1
     assert worst["clean", "estimated"] == pytest.approx(0, abs=1e-6)
     assert np.isnan(worst["agc", "ideal"]) and np.isnan(table.loc[("agc", "ideal"), "mae_degC"])
 
@@ -52,36 +52,24 @@ def test_a_clean_capture_has_the_same_result_with_every_camera(finished):
     assert clean["psnr_true"].nunique() == 1
 
 
-def test_a_second_run_changes_nothing(finished, capsys):
+def test_kept_results_are_compared_with_the_errors_that_they_had(finished, capsys):
+    """A second run changes nothing; with other errors of a capture, its results, which were kept, are not judged."""
     before = (finished / "thermal_camera.csv").read_text()
     root = finished.parents[1]
-    cfg = config("+experiment=thermal_camera", *SMALL, *FEW, f"data.root={root}", f"results={root / 'results'}")
-    ThermalCameraExperiment().run(cfg)
+    words = ("+experiment=thermal_camera", *SMALL, *FEW, f"data.root={root}", f"results={root / 'results'}")
+    ThermalCameraExperiment().run(config(*words))
     assert (finished / "thermal_camera.csv").read_text() == before
     assert capsys.readouterr().err.count("done") == 0
-
-
-def test_kept_results_of_other_errors_are_not_compared_with_these(finished):
-    root = finished.parents[1]
-    cfg = config(
-        "+experiment=thermal_camera", *SMALL, *FEW, f"data.root={root}", f"results={root / 'results'}",
-        "study.captures.drift.walk_degC=2", "overwrite=never",
-    )  # fmt: skip
-    ThermalCameraExperiment().run(cfg)
+    ThermalCameraExperiment().run(config(*words, "study.captures.drift.walk_degC=2", "overwrite=never"))
     table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a").set_index(["capture", "thermal_camera"])
     assert np.isnan(table.loc[("drift", "ideal"), "offset_degC_worst"])
-    assert table.loc[("vignette", "ideal"), "vignette_degC_worst"] > 1
+    assert table.loc[("clean", "ideal"), "offset_degC_worst"] == 0
 
 
 def test_a_survey_with_a_gradient_and_a_tilted_vignette(tmp_path):
-    less = [
-        "~study.captures.drift",
-        "~study.captures.vignette",
-        "~study.captures.agc",
-        "~study.thermal_cameras.estimated",
-    ]
+    less = ["~study.captures.drift", "~study.captures.agc", "~study.thermal_cameras.estimated"]
     cfg = config(
-        "+experiment=thermal_camera", *SMALL, *FEW[:-1], *less, "study.scenes=[field]",
+        "+experiment=thermal_camera", *SMALL, *FEW[:-2], *less, "study.scenes=[field]",
         "budget.iterations=4", f"data.root={tmp_path}", f"results={tmp_path / 'results'}",
     )  # fmt: skip
     assert cfg.dataset.loader.errors.gradient_degC == 6
@@ -117,15 +105,14 @@ def test_records_of_other_runs_have_no_part(finished):
     root = finished.parents[1]
     cfg = config(
         "+experiment=thermal_camera", *SMALL, *FEW, f"data.root={root}", f"results={root / 'results'}",
-        "name=thermal_camera", "study.seeds=[1]", "study.captures.drift.walk_degC=1", "~study.captures.agc",
-        "~study.captures.vignette",
+        "study.seeds=[1]", "study.captures.drift.walk_degC=1", "~study.captures.agc",
+        "~study.thermal_cameras.estimated",
     )  # fmt: skip
     before = {path.name: path.read_bytes() for path in finished.iterdir() if path.is_file()}
     ThermalCameraExperiment().run(cfg)
     table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a")
-    assert len(table) == 4 and (table["seeds"] == 1).all()
-    drift = table[(table["capture"] == "drift") & (table["thermal_camera"] == "ideal")]
-    assert 0.3 < drift["offset_degC_worst"].item() < 1.1
+    assert list(table["capture"]) == ["clean", "drift"] and (table["seeds"] == 1).all()
+    assert 0.3 < table["offset_degC_worst"][1] < 1.1
     for name, content in before.items():
         (finished / name).write_bytes(content)
 

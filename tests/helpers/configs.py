@@ -7,7 +7,7 @@ from functools import cache
 
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from tests.helpers.paths import ROOT
 
@@ -21,9 +21,15 @@ SMALL = (
 QUICK = (*SMALL, "budget=demo", "budget.iterations=12", "prior=synthetic")
 
 
+FOLDERS = ("data.root", "results")
+
+
 def config(*overrides: str) -> DictConfig:
-    """The project's configuration, composed with overrides."""
-    return copy.deepcopy(_composed(overrides))
+    """The project's configuration, composed with overrides; folders, which differ in each test, are set afterwards."""
+    composed = copy.deepcopy(_composed(tuple(word for word in overrides if word.split("=")[0] not in FOLDERS)))
+    for option, _, value in (word.partition("=") for word in overrides if word.split("=")[0] in FOLDERS):
+        OmegaConf.update(composed, option, value)
+    return composed
 
 
 @cache
