@@ -4,8 +4,9 @@ Constants and order follow `train.py` and `gaussian_model.py` of 3DGS. There the
 screen radii, so that the test "screen radius > 20 px" never removes anything: `screen_radius_prune: false` does the
 same, `true` applies the test as described.
 
-AbsGS (Ye et al. 2024): a pixel's pull on the image mean of a large Gaussian cancels that of another in their sum, whose
-length 3DGS tests. The absolute gradient is the length of the sums of |d/du| and |d/dv| over pixels.
+3DGS tests the length of the summed gradient of a Gaussian's image mean, in which the pulls of different pixels on a
+large Gaussian cancel. The absolute gradient of AbsGS (Ye et al. 2024) is the length of the sums of |d/du| and |d/dv|
+over pixels.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class DensityRules:
         return self.gradient == "absolute"
 
     def is_round(self, iteration: int, iterations: int) -> bool:
-        """Return whether a training of so many iterations clones, splits and prunes at an iteration.
+        """Return whether a training clones, splits and prunes at an iteration. iterations: its length.
 
         >>> rules = DensityRules(
         ...     start=500, stop=15_000, every=100, grad_threshold=2e-4, clone_max_scale=0.01, split_into=2,
@@ -71,7 +72,7 @@ class DensityRules:
         return is_due and iterations - iteration >= self.round_recovery * self.every
 
     def is_reset(self, iteration: int, iterations: int) -> bool:
-        """Return whether a training of so many iterations resets opacities at an iteration."""
+        """Return whether a training resets opacities at an iteration. iterations: its length."""
         is_due = 0 < iteration < self.stop and iteration % self.opacity_reset_every == 0
         return is_due and iterations - iteration >= self.reset_recovery * self.every
 
@@ -157,7 +158,7 @@ class DensityControl:
         return GradientStatistics(self.grad_sum, self.absolute_sum, 0.5 * width, 0.5 * height)
 
     def state_dict(self) -> dict[str, Tensor]:
-        """Return what was accumulated, as `torch.save` takes it."""
+        """Return the accumulated tensors, as `torch.save` takes them."""
         tensors = {name: getattr(self, name).cpu() for name in self.accumulated}
         return {name: tensor for name, tensor in tensors.items() if len(tensor)}
 
@@ -180,7 +181,7 @@ class DensityControl:
         return self.is_active(iteration) and self.rules.is_reset(iteration, self.iterations)
 
     def regularised(self, gradients: Gradients | PendingGradients) -> Gradients | PendingGradients:
-        """Return the gradients of an iteration with those of terms of the loss that are density control's own."""
+        """Add the gradients of density control's own loss terms to those of an iteration; 3DGS has no such terms."""
         return gradients
 
     def after_step(self, optimizer: Adam, iteration: int, generator: torch.Generator) -> None:

@@ -81,7 +81,7 @@ class Gradients:
         return tuple(torch.cat([t[part] for part in parts]) for t in (self.index, self.values, self.image))  # type: ignore[return-value]
 
     def all_radii(self, count: int) -> Tensor:
-        """Return the radii of all `count` Gaussians, int32 (count,) px; 0 of those that are not visible."""
+        """Return the radii of all `count` Gaussians, int32 (count,) px; 0 of invisible ones."""
         parts = [slice(first, first + number) for first, number in self.projected_spans]
         projected, radii = (torch.cat([t[part] for part in parts]) for t in (self.projected, self.radii))
         return radii.new_zeros(count).index_put_((projected,), radii)
@@ -90,8 +90,8 @@ class Gradients:
 class PendingGradients(ABC):
     """Gradients of a view that are not computed yet. Its fields are those of `Gradients`.
 
-    `compute` reads the gradients. Instead, the steps of the backend that made them may step the Gaussians in the pass
-    that computes them, which stores no gradient. Either is done once.
+    They are used once: `compute` stores them, or the optimiser's step computes them and moves the Gaussians in one
+    pass.
     """
 
     projected_spans: list[tuple[int, int]]
@@ -103,4 +103,4 @@ class PendingGradients(ABC):
 
     @abstractmethod
     def compute(self, image_only: bool = False) -> Gradients:
-        """Compute the gradients as rows. image_only: without those of parameters, so that `values` has no columns."""
+        """Compute the gradients as rows. image_only: those by image means alone; `values` has no columns."""

@@ -44,7 +44,7 @@ class LearningRates:
 
 
 def log_linear(first: float, last: float, share: float) -> float:
-    """Return what falls log-linearly from `first` at a share of 0 to `last` at 1, and stays there (3DGS).
+    """Return the log-linear interpolation from `first` at a share of 0 to `last` at a share of 1 or more (3DGS).
 
     >>> round(log_linear(1e-2, 1e-4, 0.5), 6)
     0.001
@@ -56,8 +56,8 @@ def log_linear(first: float, last: float, share: float) -> float:
 class Adam:
     """torch.optim.Adam's update for one set of Gaussians.
 
-    The backend of the state takes the steps. It may defer those of rows without gradient: call `flush` before reading
-    `state.values`.
+    The backend of the state takes the steps, and may defer the steps of rows without gradient: call `flush` before
+    reading `state.values`.
     """
 
     def __init__(
@@ -67,8 +67,8 @@ class Adam:
         extent: float,
         learning_rates: Mapping[str, float | str] | None = None,
     ) -> None:
-        """extent: of the scene, world units. learning_rates: learning rates by field, which replace those of `rates`: a
-        number (0 freezes the field), or the name of the parameter whose rate it has.
+        """extent: of the scene, world units. learning_rates: rates by field, in the place of `rates`: a number (0
+        freezes the field), or the name of the parameter whose rate the field shares.
 
         Raises ValueError for a field of `extra_fields` without a rate, and for the rate of an unknown field.
         """
@@ -86,7 +86,7 @@ class Adam:
 
     @property
     def steps(self) -> dict[str, int]:
-        """Steps of each parameter so far: opacity misses those of its resets."""
+        """Steps of each parameter so far; opacities take none in the iterations of their resets."""
         return {name: int(self._steps[columns.start]) for name, columns in self._places.items()}
 
     def step(
@@ -96,10 +96,10 @@ class Adam:
         without: Sequence[str] = (),
         statistics: GradientStatistics | None = None,
     ) -> Callable[[], str | None] | str | None:
-        """Take one step at an iteration (1-based); for the parameters `without` it is as if their `.grad` were None.
+        """Take one step at an iteration (1-based). The parameters `without` have no gradient and count no step.
 
         Pending gradients are computed in the same pass, which adds to `statistics`. Return the name of a parameter
-        whose gradient is not finite, or None; of Gaussians on a GPU, what waits for the step and returns this.
+        whose gradient is not finite, or None. On a GPU, return a function that waits for the step and returns the name.
         """
         state = self.state
         self._steps += 1
@@ -132,9 +132,9 @@ class Adam:
 
     @torch.no_grad()
     def lift_dark(self) -> None:
-        """Set base colours below black to black; at SH degree 0 they are all of the colour.
+        """Set base colours below black to black. For SH degree 0, where the base colour is the whole colour.
 
-        A render clamps them (3DGS), so that no gradient brings them back, whatever comes to lie there.
+        A render clamps darker colours to black (3DGS), so that they get no gradient and stay dark for ever.
         """
         for name, columns in self._places.items():
             if self.learning_rates.get(name, name) == "sh":

@@ -72,7 +72,7 @@ def _column(name: str, at: tuple[int, ...]) -> str:
 
 
 def _extra_shapes(names: list[str]) -> dict[str, tuple[int, ...]]:
-    """Return the shape of one Gaussian's value of each further field whose columns are all there; ignore the others."""
+    """Return the shape of one Gaussian's value of each further field. A field that lacks a column is ignored."""
     found: dict[str, list[tuple[int, ...]]] = {}
     for match in filter(None, (re.fullmatch(r"(\w*?[^\W_])((?:_(?:0|[1-9]\d{,8})){1,2})", name) for name in names)):
         found.setdefault(match[1], []).append(tuple(int(number) for number in match[2].split("_")[1:]))
@@ -148,7 +148,7 @@ def _read(file: BinaryIO, vertex: PlyElement) -> Gaussians:
 
 
 def _pieces(file: BinaryIO, data: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-    """Yield the first row and the rows of each piece. Those of a mapped file are read: mapped, they would add up."""
+    """Yield the first row and the rows of each piece. A mapped file is read: mapped pages would add up."""
     for start in range(0, len(data), CHUNK_ROWS):
         count = min(CHUNK_ROWS, len(data) - start)
         if not isinstance(data, np.memmap):  # of a text file

@@ -62,20 +62,22 @@ def rasterization(
     _check(gaussians, viewmats, Ks, (width, height), backgrounds, render_mode)
     if render_mode in ("D", "ED"):
         gaussians, backgrounds = gaussians._replace(colors=colors.new_zeros(len(means), 0), sh_degree=None), None
-    views = []
-    for c in range(len(viewmats)):
-        camera = Pinhole(viewmats[c], Ks[c], width, height, near_plane, far_plane, eps2d)
-        background = None if backgrounds is None else backgrounds[c]
-        options: dict[str, Any] = {"depth": "D" in render_mode, "background": background, "blending": blending}
-        views.append(render_view(gaussians, camera, **options, absgrad=absgrad, backend=backend))
-    chosen = choose_backend(backend, means.device, means.dtype)
+    behind = [None] * len(viewmats) if backgrounds is None else backgrounds
+    behind = [None] * len(viewmats) if backgrounds is None else backgrounds
+    views = [
+        render_view(
+            gaussians, Pinhole(viewmat, K, width, height, near_plane, far_plane, eps2d), depth="D" in render_mode,
+            background=background, blending=blending, absgrad=absgrad, backend=backend,
+        )
+        for viewmat, K, background in zip(viewmats, Ks, behind, strict=True)
+    ]  # fmt: skip
     projections = [view.projection for view in views if view.projection is not None]
     return *_stack(views, render_mode), {
         "means2d": [projection.means2d for projection in projections],
         "radii": torch.stack([projection.radii for projection in projections]),
         "depths": torch.stack([projection.depths for projection in projections]),
         "absgrad": [projection.absgrad for projection in projections if projection.absgrad is not None],
-        "backend": chosen,
+        "backend": choose_backend(backend, means.device, means.dtype),
         "width": width,
         "height": height,
     }

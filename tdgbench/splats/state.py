@@ -32,7 +32,7 @@ class TrainingState:
     """
 
     def __init__(self, gaussians: Gaussians, backend: Backend | None = None) -> None:
-        """backend: what trains them; by default the fast one for such tensors."""
+        """backend: owner of memory, steps and statistics; by default the fast one for the tensors (`backend_for`)."""
         count, self.bases, self.channels = len(gaussians), *gaussians.sh.shape[1:]
         self._extra = _columns_after(COLORS_AT + self.bases * self.channels, gaussians.extra_fields)
         self.columns = max([COLORS_AT + self.bases * self.channels, *(at.stop for at, _ in self._extra.values())])

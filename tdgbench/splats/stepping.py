@@ -1,4 +1,4 @@
-"""Steps of Adam on the rows of a training: what an optimiser asks of a backend, and how plain torch does it."""
+"""Steps of Adam on the rows of a training: the interface of optimiser and backend, and the version in plain torch."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients
-from tdgbench.splats.transfer import received, sent
+from tdgbench.splats.transfer import copy_like, start_copy_to_host
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15  # 3DGS
 
@@ -19,7 +19,7 @@ BadColumns = np.ndarray | Callable[[], np.ndarray] | None  # (..., columns), not
 
 
 class Rows(Protocol):
-    """What a backend reads of a `TrainingState`, whose properties these are."""
+    """The properties of a `TrainingState` that a backend reads."""
 
     now: int
     channels: int
@@ -80,12 +80,12 @@ class RowSteps:
     ) -> BadColumns:
         """Take step `state.now`; pending gradients are computed in the same pass, which adds to the statistics.
 
-        Return the columns with a gradient that is not finite, or None; of Gaussians on a GPU, what waits for the step
-        and returns this.
+        Return the columns with a gradient that is not finite, or None. On a GPU, return a function that waits for the
+        step and returns them.
         """
         assert statistics is None, "these steps observe nothing"
         columns = np.stack([factors.rates / factors.bias1, np.sqrt(factors.bias2)])
-        return self._step_all(gradients.compute().values, sent(torch.from_numpy(columns), self.state.values))
+        return self._step_all(gradients.compute().values, copy_like(torch.from_numpy(columns), self.state.values))
 
     @torch.no_grad()
     def _step_all(self, grad: Tensor, columns: Tensor) -> BadColumns:
@@ -110,8 +110,8 @@ class RowSteps:
 
 
 def flags_on_host(bad: Tensor) -> BadColumns:
-    """Return flags (columns,), or for those of a GPU what waits for them to arrive."""
+    """Return flags (columns,) as an array; for flags on a GPU, a function that waits for them and returns it."""
     if bad.device.type == "cpu":
         return bad.numpy()
-    flags = received(bad)
+    flags = start_copy_to_host(bad)
     return lambda: flags().numpy()

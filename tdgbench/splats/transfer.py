@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 
-def sent(tensor: Tensor, like: Tensor) -> Tensor:
-    """Return a tensor in the type and on the device of `like`, to which the host does not wait for its copy.
+def copy_like(tensor: Tensor, like: Tensor) -> Tensor:
+    """Return a tensor in the type and on the device of `like`. The host does not wait for the copy.
 
-    A copy from pinned memory runs on the device's stream; torch keeps that memory until it is done.
+    The copy is made from pinned memory on the device's stream; torch keeps this memory until the copy has ended.
 
     >>> import torch
-    >>> sent(torch.tensor([1, 2]), torch.zeros(1)).dtype
+    >>> copy_like(torch.tensor([1, 2]), torch.zeros(1)).dtype
     torch.float32
     """
     if tensor.device.type != "cpu" or like.device.type in ("cpu", "meta") or tensor.requires_grad:
@@ -20,12 +20,12 @@ def sent(tensor: Tensor, like: Tensor) -> Tensor:
     return tensor.to(like.dtype).pin_memory().to(like.device, non_blocking=True)
 
 
-def received(tensor: Tensor) -> Callable[[], Tensor]:
-    """Start the copy of a tensor of a GPU to the host; return what waits for it to arrive, and returns it.
+def start_copy_to_host(tensor: Tensor) -> Callable[[], Tensor]:
+    """Start the copy of a tensor from a GPU to the host. Return a function that waits for the copy and returns it.
 
-    torch copies to pinned memory; an event on the stream, after the copy, says when it is done.
+    torch copies to pinned memory. An event on the stream tells when the copy has ended.
 
-    >>> received(torch.ones(2))().tolist()
+    >>> start_copy_to_host(torch.ones(2))().tolist()
     [1.0, 1.0]
     """
     if tensor.device.type == "cpu":

@@ -1,4 +1,4 @@
-"""One camera's view: what a backend is given, and what it renders."""
+"""One camera's view: input and output of a backend."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.blending import AS_3DGS, Blending
-from tdgbench.splats.transfer import sent
+from tdgbench.splats.transfer import copy_like
 
 NEAR_PLANE, FAR_PLANE, EPS2D = 0.2, 1e10, 0.3  # 3DGS; px² for the last
 
@@ -60,7 +60,7 @@ class Pinhole(NamedTuple):
 
     def to(self, like: Tensor) -> Pinhole:
         """Return the same camera with tensors of the type and device of `like`."""
-        return self._replace(viewmat=sent(self.viewmat, like), K=sent(self.K, like))
+        return self._replace(viewmat=copy_like(self.viewmat, like), K=copy_like(self.K, like))
 
 
 class RenderOptions(NamedTuple):

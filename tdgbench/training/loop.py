@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.cpu.losses.fused_losses import keep_prepared
-from tdgbench.splats.transfer import received
+from tdgbench.splats.transfer import start_copy_to_host
 from tdgbench.training.method import Step
 from tdgbench.training.part import NonFiniteError, Part, Stopping, TrainingError
 from tdgbench.training.trainer import Trainer
@@ -151,7 +151,7 @@ def _checked_loss(step: Step, trainer: Trainer, iteration: int) -> float | Tenso
 
 def _check_later(step: Step, trainer: Trainer, iteration: int) -> float | Tensor:
     """Add the check of a loss that is not finite to the pending ones; return the loss that stopping rules watch."""
-    read = received(step.loss)
+    read = start_copy_to_host(step.loss)
 
     def check() -> None:
         if not math.isfinite(read().item()):

@@ -15,7 +15,7 @@ from tdgbench.splats.density import DensityControl
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import Render
-from tdgbench.training import model as model_module
+from tdgbench.training import splat_model as model_module
 from tdgbench.training.context import Context
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Method, Step

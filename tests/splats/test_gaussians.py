@@ -1,14 +1,6 @@
 import torch
 
-from tdgbench.splats.gaussians import Gaussians
 from tests.helpers.gaussians import model
-
-
-def test_activations_and_sizes():
-    g = model(3, 2)
-    assert (len(g), g.channels, g.sh_degree) == (7, 3, 2)
-    assert torch.equal(g.scales, g.log_scales.exp()) and torch.equal(g.opacities, g.opacity_logits.sigmoid())
-    assert Gaussians.names() == ("means", "log_scales", "quats", "opacity_logits", "sh")
 
 
 def test_select():

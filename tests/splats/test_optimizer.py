@@ -153,29 +153,6 @@ def test_same_bytes_on_any_number_of_threads():
     assert len(set(results)) == 1
 
 
-def test_float64_defers_no_step():
-    given = model(1, 1, count=30)
-    fast, exact = TrainingState(given), TrainingState(given.map(torch.Tensor.double))
-    optimizers = Adam(fast, RATES, EXTENT), Adam(exact, RATES, EXTENT)
-    for step in range(1, 40):
-        gradients = step_gradients(fast, step, 0.5)
-        optimizers[0].step(gradients, step)
-        index, rows, _ = gradients.rows()
-        dense = torch.zeros(exact.values.shape, dtype=torch.float64)
-        dense[index] = rows.double()
-        radii = torch.zeros(30, dtype=torch.int32)
-        optimizers[1].step(Gradients.dense(dense, torch.zeros(30, 2), radii), step)
-    for optimizer in optimizers:
-        optimizer.flush()
-    assert (fast.values.double() - exact.values).abs().max() < 1e-4
-
-
-def test_position_rate_is_log_linear():
-    assert RATES.means(0) == pytest.approx(1e-2)
-    assert RATES.means(25) == pytest.approx(1e-3)
-    assert RATES.means(50) == pytest.approx(1e-4) == RATES.means(500)
-
-
 def test_a_step_without_one_parameter():
     state = TrainingState(model(1, 0, count=9))
     optimizer = Adam(state, RATES, EXTENT)

@@ -1,12 +1,12 @@
 import pytest
 import torch
 
-from tdgbench.splats.transfer import sent
+from tdgbench.splats.transfer import copy_like
 
 
 def test_on_the_host_it_is_a_conversion():
     number = torch.tensor([1.5], dtype=torch.float64)
-    assert sent(number, number) is number and sent(number, torch.zeros(1)).dtype == torch.float32
+    assert copy_like(number, number) is number and copy_like(number, torch.zeros(1)).dtype == torch.float32
 
 
 @pytest.mark.cuda
@@ -16,5 +16,5 @@ def test_copies_to_the_gpu_are_whole():
     found = []
     for number in range(200):
         busy = (busy @ busy).clamp(0, 1)
-        found.append(sent(torch.full((48,), float(number)), like))
+        found.append(copy_like(torch.full((48,), float(number)), like))
     assert all(tensor.is_cuda and (tensor == number).all() for number, tensor in enumerate(found))

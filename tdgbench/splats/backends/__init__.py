@@ -63,10 +63,10 @@ def choose_backend(name: str, device: torch.device, dtype: torch.dtype) -> str:
 
 
 def backend_for(tensor: torch.Tensor) -> Backend:
-    """Return the fast backend for tensors like this one that can run here; `reference` if there is none.
+    """Return the fast backend that takes tensors like this one and can run here, or else `reference`.
 
-    It owns memory, density control's statistics, Adam's steps and losses of a training, whichever backend renders it:
-    two backends that are compared differ in their rendering alone.
+    It owns memory, statistics of density control, Adam's steps and losses of a training. Another backend may render
+    the training: two backends that are compared differ in their rendering alone.
     """
     candidates = map(load_backend, _fast(tensor.device, tensor.dtype))
     return next((backend for backend in candidates if backend.why_not() is None), load_backend("reference"))

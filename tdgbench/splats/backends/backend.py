@@ -55,8 +55,8 @@ class Backend(ABC):
     """Renders Gaussians and trains them. The module `tdgbench.splats.backends.<name>` holds one as `BACKEND`.
 
     Subclasses implement `render`. The other methods have defaults in plain torch, for a backend that takes any tensor,
-    runs anywhere and has gradients through torch's autograd. Memory, statistics, steps and losses of a training are
-    those of the fast backend for its tensors (`backend_for`), whichever renders.
+    runs anywhere and has gradients through torch's autograd. The fast backend for the tensors (`backend_for`) owns
+    memory, statistics, steps and losses of a training, whichever backend renders it.
     """
 
     device: str = "cpu"  # type of the device on which it trains
@@ -96,10 +96,10 @@ class Backend(ABC):
         """Render one view, with gradients and `Render.projection`. Raises ValueError for what it cannot render."""
 
     def footprint_sums(self, gaussians: GaussianTensors, channels: int) -> SumFootprints:
-        """Return a function of a camera and maps (H, W, channels) that sums these over each Gaussian's footprint.
+        """Return a function of a camera and maps (H, W, channels) that sums the maps over each Gaussian's footprint.
 
-        It returns the sums (N, channels) and the Gaussians' radii (N,), px (0: not visible). A pixel is weighted as in
-        the blend: a sum is the gradient of the Gaussian's colour where that of the image is the maps.
+        It returns the sums (N, channels) and the Gaussians' radii (N,), px (0: not visible). A pixel has the weight
+        that the Gaussian has in its blend: with the maps as gradient of the image, a sum is the gradient of the colour.
         """
 
         def sums(camera: Pinhole, maps: Tensor) -> tuple[Tensor, Tensor]:
@@ -142,7 +142,7 @@ class Backend(ABC):
         """Free memory that is kept for later renders."""
 
     def steps_of(self, state: Rows) -> RowSteps:
-        """Return what takes Adam's steps of a state."""
+        """Return the object that takes Adam's steps on the rows of a state."""
         return RowSteps(state)
 
     def observe_visible(self, view: Gradients | PendingGradients, view_counts: Tensor, max_radii: Tensor) -> None:

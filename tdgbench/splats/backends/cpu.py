@@ -59,19 +59,19 @@ class Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, means, quats, scales, opacities, colors, probe, absgrad, settings):
         source = source_of_arrays(_arrays((means, quats, scales, opacities, colors)))
-        done = forward(source, settings)
-        ids, radii, means2d = done.projected
-        to_all = (ids, done.projected_spans, source.count)
+        view = forward(source, settings)
+        ids, radii, means2d = view.projected
+        to_all = (ids, view.projected_spans, source.count)
         radii, probe.data = _spread(radii[:, None], *to_all).squeeze(1), _spread(means2d, *to_all)
-        ctx.saved = (source, settings, done, colors.shape, absgrad)
+        ctx.saved = (source, settings, view, colors.shape, absgrad)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(radii)
-        return (*_tensors(done.images), radii)
+        return (*_tensors(view.images), radii)
 
     @staticmethod
     def backward(ctx, grad_color, grad_depth, grad_transmittance, _grad_radii):
-        source, settings, done, color_shape, absgrad = ctx.saved
-        rows = blend_backward(source, settings, done, *_arrays((grad_color, grad_depth, grad_transmittance))).rows()
+        source, settings, view, color_shape, absgrad = ctx.saved
+        rows = blend_backward(source, settings, view, *_arrays((grad_color, grad_depth, grad_transmittance))).rows()
         ids, values, image = rows.arrays
         columns = [*GEOMETRY_SIZES, math.prod(color_shape[1:])]
         dense = _spread(values, ids, rows.spans, source.count, padded(sum(columns)))[:, : sum(columns)]
@@ -83,19 +83,19 @@ class Rasterize(torch.autograd.Function):
 
 
 class _RenderRows(torch.autograd.Function):
-    """`Rasterize` for Gaussians whose gradients do not pass through torch: `deliver` gets what they are made of."""
+    """`Rasterize` for Gaussians whose gradients do not pass through torch: `deliver` gets a `Blended`."""
 
     @staticmethod
     def forward(ctx, trigger, source, settings, deliver):
-        done = forward(source, settings)
-        ctx.saved = (source, settings, done, deliver)
+        view = forward(source, settings)
+        ctx.saved = (source, settings, view, deliver)
         ctx.set_materialize_grads(False)
-        return tuple(_tensors(done.images))
+        return tuple(_tensors(view.images))
 
     @staticmethod
     def backward(ctx, *grads):
-        (source, settings, done, deliver), ctx.saved = ctx.saved, None  # the loss, and so this, outlives the step
-        deliver(blend_backward(source, settings, done, *_arrays(grads)))
+        (source, settings, view, deliver), ctx.saved = ctx.saved, None  # the loss, and so this, outlives the step
+        deliver(blend_backward(source, settings, view, *_arrays(grads)))
         return None, None, None, None
 
 
@@ -137,13 +137,13 @@ class CpuBackend(Backend):
             if maps.shape != (camera.height, camera.width, channels):
                 raise ValueError(f"maps of {channels} channels were announced; these are {tuple(maps.shape)}")
             settings = _settings(camera, channels, -1, RenderOptions())
-            done = forward(source, settings)
-            rows = blend_backward(source, settings, done, *_arrays((maps, None, None))).rows()
+            view = forward(source, settings)
+            rows = blend_backward(source, settings, view, *_arrays((maps, None, None))).rows()
             ids, values, _ = rows.arrays
-            seen, radii, _ = done.projected
+            seen, radii, _ = view.projected
             return (
                 _spread(values[:, COLORS_AT : COLORS_AT + channels], ids, rows.spans, count),
-                _spread(radii[:, None], seen, done.projected_spans, count).squeeze(1),
+                _spread(radii[:, None], seen, view.projected_spans, count).squeeze(1),
             )
 
         return sums

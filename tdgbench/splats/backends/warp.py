@@ -18,7 +18,7 @@ from tdgbench.splats.warp import import_problem
 
 
 class WarpBackend(Backend):
-    """Float32 on a CUDA GPU, or on the CPU where there is none."""
+    """Float32 on a CUDA GPU, or on the CPU of a machine without one."""
 
     inputs = "float32 tensors on the CPU or a CUDA GPU"
     devices = ("cpu", "cuda")

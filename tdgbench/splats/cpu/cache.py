@@ -156,7 +156,7 @@ class KernelCache(FunctionCache):
 
 
 def use_cache(compiled: Any, folder: Path) -> None:
-    """Have a kernel of numba's `njit` loaded from a folder, and stored there; not if the folder cannot be used."""
+    """Load a kernel of numba's `njit` from a folder, and store it there, if the folder can be used."""
     cache, compile_anew = _cache_of(compiled.py_func, folder), compiled._compiler.compile
     if cache is None:
         return

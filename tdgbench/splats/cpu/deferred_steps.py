@@ -1,4 +1,4 @@
-"""Steps of Adam on the CPU, whose cost depends on the rows that have a gradient: those of the others are deferred."""
+"""Steps of Adam on the CPU: only rows with a gradient are stepped, the steps of all others are deferred."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def _wait(calls: Sequence[_Call], ended: SimpleQueue[None]) -> None:
 
 
 def _start_workers(count: int) -> None:
-    """Have at least so many workers. They are daemons: the process ends without them."""
+    """Start workers until there are `count`. They are daemons: the process ends without them."""
     global _workers
     while _workers < count:
         Thread(target=_work, args=(_calls,), name="tdgbench", daemon=True).start()

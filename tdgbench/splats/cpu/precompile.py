@@ -78,9 +78,9 @@ def blend_nothing(colors: int, depth: bool, backward: bool) -> None:
     tiles = TileLists(np.zeros(1, np.int64), ids, ids)
     images, visits = blend_tiles(settings, splats, tiles, np.empty(0, np.uint32))
     projected = Projected(ids, ids, np.empty((0, 2), np.float32))
-    done = ForwardPass(images, projected, [], splats, [(0, 0)], tiles, visits, pair_capacity=0, workspace=Workspace())
+    view = ForwardPass(images, projected, [], splats, [(0, 0)], tiles, visits, pair_capacity=0, workspace=Workspace())
     if backward:
-        blend_backward(source, settings, done, None, None, None).rows()
+        blend_backward(source, settings, view, None, None, None).rows()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the kernels read and write: Warp structs of arrays that share memory with torch tensors."""
+"""Arguments of the kernels: Warp structs of arrays that share memory with torch tensors."""
 
 from contextlib import AbstractContextManager, nullcontext
 
@@ -55,7 +55,7 @@ class Source:
 
 @wp.struct
 class Projected:
-    """The Gaussians on the image. Those without pairs are not drawn."""
+    """The Gaussians on the image. A Gaussian without pairs is not drawn."""
 
     means2d: wp.array(dtype=wp.vec2)  # px
     shapes: wp.array(dtype=wp.vec3)  # (q, k, v) of alpha = opacity · exp(−(q (dx − k dy)² + v dy²) / 2)

@@ -14,11 +14,10 @@ from tdgbench.splats.warp.arrays import TILE, TILE_PIXELS, Pairs, Projected, Vie
 GEOMETRY = wp.constant(6)  # columns of a gradient before those of the features: mean (2), shape (3), opacity
 
 
-class BlendKernels(NamedTuple):
-    """forward: a thread per pixel; backward: a block of `lanes` threads per tile, which writes `row` per pair."""
+class BackwardBlend(NamedTuple):
+    """Kernel with a block of `lanes` threads per tile, which writes a row of gradients per pair."""
 
-    forward: wp.Kernel
-    backward: wp.Kernel
+    kernel: wp.Kernel
     row: type  # vector of `columns` floats
     columns: int
 
@@ -37,16 +36,11 @@ def falloff(shape: wp.vec3, u: float, dy: float):
 
 
 @cache
-def blend_kernels(features: int, lanes: int, absolute: bool) -> BlendKernels:
-    """Return the kernels for a number of features and threads per tile; absolute: gradients also have |by mean|."""
-    F = features
-    P = TILE_PIXELS // lanes
-    columns = GEOMETRY + F + 2 * absolute
-    vec_f, row_type = wp.types.vector(length=F, dtype=float), wp.types.vector(length=columns, dtype=float)
-    vec_p, vec_p_int = wp.types.vector(length=P, dtype=float), wp.types.vector(length=P, dtype=int)
-    module = f"{__name__}_{F}_{lanes}" + "_absolute" * absolute
+def forward_blend(features: int) -> wp.Kernel:
+    """Return the kernel for a number of features, with a thread per pixel."""
+    F, vec_f = features, wp.types.vector(length=features, dtype=float)
 
-    @wp.kernel(enable_backward=False, module=module)
+    @wp.kernel(enable_backward=False, module=f"{__name__}_forward_{features}")
     def forward(
         v: View, projected: Projected, pairs: Pairs, opacities: wp.array(dtype=float),
         light: wp.array3d(dtype=float), transmittance: wp.array2d(dtype=float), last: wp.array2d(dtype=int),
@@ -76,6 +70,17 @@ def blend_kernels(features: int, lanes: int, absolute: bool) -> BlendKernels:
             light[y, x, f] = total[f] + 0.0 * remaining
         transmittance[y, x] = remaining
         last[y, x] = end
+
+    return forward
+
+
+@cache
+def backward_blend(features: int, lanes: int, absolute: bool) -> BackwardBlend:
+    """Return the kernel for a number of features and threads per tile; absolute: gradients also have |by mean|."""
+    F, P, columns = features, TILE_PIXELS // lanes, GEOMETRY + features + 2 * absolute
+    row_type = wp.types.vector(length=columns, dtype=float)
+    vec_p, vec_p_int = wp.types.vector(length=P, dtype=float), wp.types.vector(length=P, dtype=int)
+    module = f"{__name__}_{F}_{lanes}" + "_absolute" * absolute
 
     @wp.kernel(enable_backward=False, module=module)
     def backward(
@@ -136,4 +141,4 @@ def blend_kernels(features: int, lanes: int, absolute: bool) -> BlendKernels:
             wp.tile_store(rows, wp.tile_sum(wp.tile(row, preserve_type=True)), offset=slot)
             s -= 1
 
-    return BlendKernels(forward, backward, row_type, columns)
+    return BackwardBlend(backward, row_type, columns)

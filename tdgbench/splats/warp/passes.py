@@ -8,7 +8,7 @@ import warp as wp
 from torch import Tensor
 
 from tdgbench.splats.warp.arrays import TILE_PIXELS, Pairs, Projected, Source, View, array, filled, on_stream
-from tdgbench.splats.warp.blend import blend_kernels
+from tdgbench.splats.warp.blend import backward_blend, forward_blend
 from tdgbench.splats.warp.gradient import add_pairs, project_backward
 from tdgbench.splats.warp.pairs import find_starts, list_pairs
 from tdgbench.splats.warp.projection import project
@@ -17,7 +17,7 @@ LANES = tuple(str(2**power) for power in range(9))
 
 
 class Request(NamedTuple):
-    """What to render. absgrad: (N, 2), to which the backward pass adds absolute gradients, or None."""
+    """A render. absgrad: (N, 2), to which the backward pass adds absolute gradients, or None."""
 
     view: View
     depth: bool
@@ -39,7 +39,7 @@ class Rasterize(torch.autograd.Function):
             light, transmittance, last = _blend(gaussians, projected, pairs, request)
         means2d, _, _, depths, radii, *_ = projected
         probe.data = means2d
-        ctx.request = request
+        ctx.request, ctx.lanes = request, lanes_of(means.device)
         ctx.save_for_backward(*gaussians, *projected, *pairs, transmittance, last)
         ctx.mark_non_differentiable(radii, depths)
         return light, transmittance, radii, depths
@@ -51,7 +51,7 @@ class Rasterize(torch.autograd.Function):
         view, _, absgrad = ctx.request
         with on_stream(by_light.device):
             by_image = [by_light.contiguous(), by_transmittance.contiguous()]
-            sums = _sum_over_pixels(gaussians[3], projected, pairs, [*images, *by_image], ctx.request)
+            sums = _sum_over_pixels(gaussians[3], projected, pairs, [*images, *by_image], ctx.request, ctx.lanes)
             gradients = [torch.zeros_like(t, memory_format=torch.contiguous_format) for t in gaussians]
             inputs = [filled(Source, gaussians), view, filled(Projected, projected), array(sums)]
             launch(project_backward, len(sums), [*inputs, filled(Source, gradients)], sums)
@@ -117,28 +117,25 @@ def _blend(gaussians: list[Tensor], projected: list[Tensor], pairs: list[Tensor]
     size = (view.height, view.width)
     last = torch.empty(size, dtype=torch.int32, device=opacities.device)
     images = [opacities.new_empty(*size, features), opacities.new_empty(size), last]
-    kernel = blend_kernels(features, lanes_of(opacities.device), request.absgrad is not None).forward
     inputs = [view, filled(Projected, projected), filled(Pairs, pairs), array(opacities), *map(array, images)]
-    launch(kernel, view.tiles_x * view.tiles_y * TILE_PIXELS, inputs, opacities, block_dim=TILE_PIXELS)
+    pixels = view.tiles_x * view.tiles_y * TILE_PIXELS
+    launch(forward_blend(features), pixels, inputs, opacities, block_dim=TILE_PIXELS)
     return images
 
 
 def _sum_over_pixels(
-    opacities: Tensor, projected: list[Tensor], pairs: list[Tensor], images: list[Tensor], request: Request
+    opacities: Tensor, projected: list[Tensor], pairs: list[Tensor], images: list[Tensor], request: Request, lanes: int
 ) -> Tensor:
     """Return the gradients (N, columns) by what `project` computes; see `blend.GEOMETRY` for the columns.
 
-    images: transmittance and last pair, then the gradients by features and transmittance.
+    images: transmittance and last pair, then the gradients by features and transmittance. lanes: threads per tile.
     """
     view, ends, features = request.view, projected[6], projected[2].shape[1]
-    lanes = lanes_of(opacities.device)
-    kernels = blend_kernels(features, lanes, request.absgrad is not None)
-    rows = opacities.new_zeros(len(pairs[2]), kernels.columns)
+    blend = backward_blend(features, lanes, request.absgrad is not None)
+    rows = opacities.new_zeros(len(pairs[2]), blend.columns)
     inputs = [view, filled(Projected, projected), filled(Pairs, pairs), array(opacities), *map(array, images)]
     tiles, device = view.tiles_x * view.tiles_y, str(opacities.device)
-    wp.launch_tiled(
-        kernels.backward, dim=[tiles], inputs=[*inputs, array(rows, kernels.row)], block_dim=lanes, device=device
-    )
-    sums = opacities.new_empty(len(ends), kernels.columns)
+    wp.launch_tiled(blend.kernel, dim=[tiles], inputs=[*inputs, array(rows, blend.row)], block_dim=lanes, device=device)
+    sums = opacities.new_empty(len(ends), blend.columns)
     launch(add_pairs, sums.shape, [array(rows), array(ends), array(sums)], opacities)
     return sums

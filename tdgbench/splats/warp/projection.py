@@ -3,7 +3,7 @@
 import warp as wp
 
 from tdgbench.splats.warp.arrays import TILE, Projected, Source, View
-from tdgbench.splats.warp.harmonics import basis
+from tdgbench.splats.warp.sh_basis import basis
 
 wp.set_module_options({"enable_backward": False})
 
@@ -68,7 +68,7 @@ def radius(center: wp.vec2, a: float, b: float, c: float, v: View):
 
 @wp.func
 def write_features(g: int, source: Source, v: View, depth: float, features: wp.array2d(dtype=float)):
-    """Write the colours of a Gaussian, and its depth if there is a place for it."""
+    """Write the colours of a Gaussian, and its depth if `features` has a column for it."""
     channels = source.colors.shape[2]
     b = basis(wp.normalize(source.means[g] - v.centre))
     for c in range(channels):

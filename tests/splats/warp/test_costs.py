@@ -50,7 +50,7 @@ BEGIN = """
 import json, os, sys
 from pathlib import Path
 import torch
-from tdgbench.splats.transfer import received
+from tdgbench.splats.transfer import start_copy_to_host
 from tdgbench.training.budget import PlateauRule
 from tdgbench.training.loop import train
 from tdgbench.training.part import NonFiniteError, Stopping
@@ -78,9 +78,9 @@ with costs:
         "to": lambda: host.to(NAME),
         "copy_": lambda: x.copy_(host),
         "cpu": lambda: x.cpu(),
-        "read at once": lambda: received(x)(),
-        "read after a wait": lambda: (received(x), x.sum().item())[0](),
-        "not read": lambda: received(x),
+        "read at once": lambda: start_copy_to_host(x)(),
+        "read after a wait": lambda: (start_copy_to_host(x), x.sum().item())[0](),
+        "not read": lambda: start_copy_to_host(x),
         "pageable": lambda: host.to(NAME, non_blocking=True),
         "pinned": lambda: pinned.to(NAME, non_blocking=True),
         "on the device": lambda: torch.where(mask, x, 0.0).index_add_(0, torch.arange(6, device=NAME), x),

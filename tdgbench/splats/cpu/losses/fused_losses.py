@@ -118,7 +118,7 @@ class _Prepared(NamedTuple):
 
 
 class PreparedTargets:
-    """Prepared images by their tensors, up to a number of bytes; what exceeds it is prepared anew each time."""
+    """Prepared images by their tensors, up to a number of bytes; further images are prepared anew each time."""
 
     def __init__(self, max_bytes: int = CACHE_BYTES) -> None:
         self.max_bytes = max_bytes

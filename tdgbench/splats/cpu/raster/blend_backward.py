@@ -80,11 +80,11 @@ def slot_size(channels: int, absgrad: bool = False) -> int:
     return MOMENTS + channels + 2 * absgrad
 
 
-def fill_slots(settings: Settings, done: ForwardPass, gradients: ImageArrays, slots: Slots) -> None:
+def fill_slots(settings: Settings, view: ForwardPass, gradients: ImageArrays, slots: Slots) -> None:
     """Write the slot of every pair that has weight somewhere."""
     arguments = (
-        np.zeros(1, np.int64), done.splats.values, done.tiles, settings.limits, TABLES, done.images, gradients,
-        done.visits, slots,
+        np.zeros(1, np.int64), view.splats.values, view.tiles, settings.limits, TABLES, view.images, gradients,
+        view.visits, slots,
     )  # fmt: skip
     colors, _, depth, absgrad = settings.channels
     pool.run(make_blend_backward(colors, depth, absgrad), [arguments] * pool.get_threads())

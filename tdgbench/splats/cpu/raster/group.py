@@ -10,9 +10,9 @@ from numba import int64
 
 from tdgbench.splats.columns import COLORS_AT
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.harmonics import view_direction, write_basis
 from tdgbench.splats.cpu.raster.parameters import LOG2_E, gathered_column, opacity_and_log2
 from tdgbench.splats.cpu.raster.projection import exact_image_point, footprint_of, screen_radius
+from tdgbench.splats.cpu.raster.sh_registers import view_direction, write_basis
 from tdgbench.splats.cpu.raster.tiles import SLACK, Ellipse, PixelBox
 from tdgbench.splats.cpu.raster.types import (
     A_,

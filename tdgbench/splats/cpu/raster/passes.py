@@ -55,15 +55,15 @@ class Blended(PendingGradients):
 
     source: GaussianSource
     settings: Settings
-    done: ForwardPass
+    view: ForwardPass
     slots: Slots
     workspace: Workspace  # holds the slots
 
     def __post_init__(self) -> None:
-        done = self.done
-        self.projected_spans, self.touched = done.projected_spans, 0
-        self.projected, self.radii = map(torch.from_numpy, (done.projected.gaussian_ids, done.projected.radii))
-        self.pairs, self.blended = len(done.tiles.splat_ids), int(done.visits.counts.sum())
+        view = self.view
+        self.projected_spans, self.touched = view.projected_spans, 0
+        self.projected, self.radii = map(torch.from_numpy, (view.projected.gaussian_ids, view.projected.radii))
+        self.pairs, self.blended = len(view.tiles.splat_ids), int(view.visits.counts.sum())
 
     @property
     def columns(self) -> int:
@@ -74,18 +74,18 @@ class Blended(PendingGradients):
     def rows(self, image_only: bool = False) -> GradientRows:
         """Return gradients of the Gaussians that some pixel depends on. image_only: with no column of parameters."""
         workspace = Workspace()
-        capacity = -(-len(self.done.splats.values) // LANES) * LANES
+        capacity = -(-len(self.view.splats.values) // LANES) * LANES
         rows = GradientArrays(
             workspace.take("ids of gradients", capacity, np.int32),
             workspace.take("gradients", (capacity, 0 if image_only else self.columns), np.float32),
             workspace.take("image gradients", (capacity, 5 if self.settings.channels.absgrad else 3), np.float32),
         )
-        return GradientRows(self._run(rows, [NO_FUSED_STEP] * len(self.done.splat_spans)), rows, workspace)
+        return GradientRows(self._run(rows, [NO_FUSED_STEP] * len(self.view.splat_spans)), rows, workspace)
 
     def compute(self, image_only: bool = False) -> Gradients:
         rows = self.rows(image_only)
         index, values, image = map(torch.from_numpy, rows.arrays)
-        lease = (rows.workspace, self.done.workspace)
+        lease = (rows.workspace, self.view.workspace)
         return Gradients(
             rows.spans, index, values, image, self.projected_spans, self.projected, self.radii, self.pairs,
             self.blended, lease,
@@ -94,20 +94,20 @@ class Blended(PendingGradients):
     def step(self, step: AdamStep, statistics: StatisticsArrays) -> np.ndarray:
         """Step the Gaussians that some pixel depends on, and add to their statistics.
 
-        The source's parameters are those of the step. Returns (spans, stride) float32: 1 in columns with a gradient
+        The step is of the rows that the source reads. Returns (spans, stride) float32: 1 in columns with a gradient
         that is not finite.
         """
-        bad = new_flags(len(self.done.splat_spans), step)
+        bad = new_flags(len(self.view.splat_spans), step)
         self.touched = sum(n for _, n in self._run(NO_ROWS, [FusedStep(step, statistics, flags) for flags in bad]))
         return bad
 
     def _run(self, rows: GradientArrays, steps: Sequence[FusedStep]) -> list[tuple[int, int]]:
-        source, settings, done = self.source, self.settings, self.done
-        shared = (source.parameters, settings.channels, settings.camera, done.splats, self.slots, rows)
+        source, settings, view = self.source, self.settings, self.view
+        shared = (source.parameters, settings.channels, settings.camera, view.splats, self.slots, rows)
         counts = pool.run(
-            projection_backward, [(*span, *shared, step) for span, step in zip(done.splat_spans, steps, strict=True)]
+            projection_backward, [(*span, *shared, step) for span, step in zip(view.splat_spans, steps, strict=True)]
         )
-        return [(first, n) for (first, _), n in zip(done.splat_spans, counts)]
+        return [(first, n) for (first, _), n in zip(view.splat_spans, counts)]
 
 
 @functools.lru_cache(maxsize=4)
@@ -119,7 +119,7 @@ def _zeros(shape: tuple[int, ...]) -> np.ndarray:
 def blend_backward(
     source: GaussianSource,
     settings: Settings,
-    done: ForwardPass,
+    view: ForwardPass,
     color: np.ndarray | None,
     depth: np.ndarray | None,
     transmittance: np.ndarray | None,
@@ -131,13 +131,13 @@ def blend_backward(
     gradients = ImageArrays(
         *(
             _zeros(image.shape) if gradient is None else np.ascontiguousarray(gradient)
-            for gradient, image in zip((color, depth, transmittance), done.images)
+            for gradient, image in zip((color, depth, transmittance), view.images)
         )
     )
     workspace = Workspace()
     colors, _, depth, absgrad = settings.channels
     floats = slot_size(colors + depth, absgrad)
-    values = workspace.take("slots", done.pair_capacity * floats + SLOT, np.float32)  # they are read by whole registers
-    slots = Slots(values, np.zeros(done.pair_capacity, np.bool_))
-    fill_slots(settings, done, gradients, slots)
-    return Blended(source, settings, done, slots, workspace)
+    values = workspace.take("slots", view.pair_capacity * floats + SLOT, np.float32)  # they are read by whole registers
+    slots = Slots(values, np.zeros(view.pair_capacity, np.bool_))
+    fill_slots(settings, view, gradients, slots)
+    return Blended(source, settings, view, slots, workspace)

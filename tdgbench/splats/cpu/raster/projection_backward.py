@@ -16,9 +16,9 @@ from tdgbench.splats.cpu.adam import NO_STEP, AdamStep, step_row
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blend_backward import MOMENTS
 from tdgbench.splats.cpu.raster.ewa_gradient import ellipse_gradient, outer, point_gradient, quaternion_gradient
-from tdgbench.splats.cpu.raster.harmonics import direction_gradient, view_direction, write_basis
 from tdgbench.splats.cpu.raster.parameters import GATHERED, collect, gathered_column
 from tdgbench.splats.cpu.raster.projection import footprint_of
+from tdgbench.splats.cpu.raster.sh_registers import direction_gradient, view_direction, write_basis
 from tdgbench.splats.cpu.raster.slot_sums import BATCH, SLOT, Batch, fill_batch, turn_sums
 from tdgbench.splats.cpu.raster.types import CHANNELS, FLOATS, OPACITY, RADIUS, GradientArrays
 from tdgbench.splats.cpu.simd.memory import aligned_floats, gather, load, put_column, store, turn_block
@@ -74,7 +74,7 @@ def projection_backward(first, count, parameters, channels, camera, splats, slot
     batch = Batch(aligned_floats(BATCH * SLOT), np.zeros(BATCH, np.int32), np.zeros(BATCH, np.int32))
     n_bases = (channels.degree + 1) * (channels.degree + 1) if channels.degree >= 0 else 1
     colors = n_bases * channels.colors
-    done, r = first, first
+    written, r = first, first
     while r < first + count:
         filled, r = fill_batch(batch, r, first + count, splats, slots, parameters, channels, step)
         for k in range(0, filled, LANES):
@@ -84,22 +84,22 @@ def projection_backward(first, count, parameters, channels, camera, splats, slot
             if step.active:
                 step_group(batch.gaussian_ids, k, min(filled - k, LANES), scratch, step)
             else:
-                write_rows(batch.gaussian_ids, k, scratch, done + k, rows)
-        done += filled
-    return done - first
+                write_rows(batch.gaussian_ids, k, scratch, written + k, rows)
+        written += filled
+    return written - first
 
 
 @kernel(inline=True)
-def write_rows(gaussian_ids, k, scratch, done, rows):
-    """Write a group's gradients to rows done, done + 1, … of GradientArrays."""
+def write_rows(gaussian_ids, k, scratch, written, rows):
+    """Write a group's gradients to rows written, written + 1, … of GradientArrays."""
     stride = rows.values.shape[1]
     for lane in range(LANES):
-        rows.gaussian_ids[U(done + lane)] = gaussian_ids[U(k + lane)]
+        rows.gaussian_ids[U(written + lane)] = gaussian_ids[U(k + lane)]
     for c in range(0, stride, LANES):
-        turn_block(scratch.gradient, c * LANES, LANES, rows.values, done * stride + c, stride)
+        turn_block(scratch.gradient, c * LANES, LANES, rows.values, written * stride + c, stride)
     width = rows.image.shape[1]
     for c in range(width):
-        put_column(rows.image, done, width, c, load(scratch.image, c * LANES))
+        put_column(rows.image, written, width, c, load(scratch.image, c * LANES))
 
 
 @kernel(inline=True)

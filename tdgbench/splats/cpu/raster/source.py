@@ -1,4 +1,4 @@
-"""Where the kernels find Gaussians: rows as in `tdgbench.splats.columns`, and what culling tests of each."""
+"""Input of the kernels: Gaussians as rows (`tdgbench.splats.columns`), and the bounds that culling tests."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Parameters(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """What culling tests: mean and largest deviation, which the true ones may exceed by a tolerance."""
+    """Bounds that culling tests: mean and largest deviation. The true ones may exceed them by a tolerance."""
 
     values: np.ndarray  # (N · BOUNDS,) float32: mean, and largest standard deviation, world units, or its logarithm
     raw: bool  # whether it is the natural logarithm
@@ -42,7 +42,7 @@ class GaussianSource:
     count: int
     parameters: Parameters
     bounds: Bounds
-    stale: Stale = NO_STALE  # what is due to candidates before their parameters are read
+    stale: Stale = NO_STALE  # deferred steps, applied to candidates before their parameters are read
 
 
 def source_of_arrays(arrays: Sequence[np.ndarray]) -> GaussianSource:

@@ -148,7 +148,7 @@ def fill_lists(first, count, splats, pair_tiles, cursor, pairs):
 
 
 def list_by_tile(found, workspace: Workspace, scratch: Workspace) -> TileLists:
-    """List every tile's pairs from near to far, of what projection `found`; equal depths keep the splats' order."""
+    """List every tile's pairs of a projection from near to far; splats of equal depth keep their order."""
     cursors, total = found.tile_counts, sum(n for _, n in found.pair_spans)
     starts = np.empty(cursors.shape[1] + 1, np.int64)
     longest = start_lists(cursors, starts)

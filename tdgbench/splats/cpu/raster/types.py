@@ -62,7 +62,7 @@ class Limits(NamedTuple):
 
 
 class Channels(NamedTuple):
-    """What a splat's channels are: `colors` of them, and the camera-space z as one more with `depth`."""
+    """Channels of a splat: `colors` of them, and with `depth` the camera-space z as one more."""
 
     colors: int
     degree: int  # of the spherical harmonics; −1: colours as they are

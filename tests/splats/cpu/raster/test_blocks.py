@@ -9,7 +9,7 @@ from tdgbench.splats.cpu.raster import blocks, types
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tdgbench.splats.cpu.simd.memory import aligned_floats
 from tdgbench.splats.cpu.simd.registers import LANES
-from tests.splats.cpu.raster.bits import members
+from tests.splats.cpu.raster.forward_passes import members
 
 F = np.float32
 SIZE = 3 * LANES

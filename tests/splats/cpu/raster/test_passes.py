@@ -10,8 +10,7 @@ from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
 from tests.helpers.gaussians import RATES, random_gaussians, turned_camera
-from tests.splats.cpu.raster.bits import members
-from tests.splats.cpu.raster.forward_passes import settings_for, source_of
+from tests.splats.cpu.raster.forward_passes import members, settings_for, source_of
 
 
 def test_only_candidates_are_updated():

@@ -1,7 +1,7 @@
 import numpy as np
 
 from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
-from tdgbench.splats.cpu.raster.source import source_of_arrays, source_of_rows
+from tdgbench.splats.cpu.raster.source import source_of_arrays
 
 F = np.float32
 
@@ -17,12 +17,3 @@ def test_arrays_become_rows():
         assert values[begin : begin + array[5].size].tolist() == array[5].reshape(-1).tolist()
     assert source.bounds.values[8:12].tolist() == [*arrays[0][2], arrays[2][2].max()]
     assert source.bounds.tolerance == source.bounds.growth == 0
-
-
-def test_rows_are_read_where_they_are():
-    rng = np.random.default_rng(0)
-    values, bounds = rng.random((7, 16), F), rng.random((7, 4), F)
-    source = source_of_rows(values, bounds, 0.5, 0.25)
-    assert source.parameters.raw and source.parameters.stride == 16 and source.bounds.raw
-    assert np.shares_memory(source.parameters.values, values) and np.shares_memory(source.bounds.values, bounds)
-    assert (source.bounds.tolerance, source.bounds.growth) == (0.5, 0.25)

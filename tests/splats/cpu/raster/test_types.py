@@ -1,10 +1,6 @@
-import math
-
 import numpy as np
-import pytest
 
-from tdgbench.splats.blending import AS_3DGS
-from tdgbench.splats.cpu.raster.types import pack_camera, pack_limits
+from tdgbench.splats.cpu.raster.types import pack_camera
 from tests.helpers.gaussians import turned_camera
 
 
@@ -24,10 +20,3 @@ def test_every_number_is_single_precision():
     for field in pack_camera(view, K, 40, 30, 0.2, 100.0, 0.3):
         numbers = field if isinstance(field, tuple) else (field,)
         assert all(isinstance(number, np.float32) for number in numbers)
-
-
-def test_limits_of_3dgs():
-    limits = pack_limits(AS_3DGS)
-    assert np.allclose(limits[:4], [0.99, 1 / 255, -math.log2(255), 1e-4])
-    assert limits.cutoff == pytest.approx(math.sqrt(2 * math.log(255))) and limits.end_early
-    assert all(isinstance(number, np.float32) for number in limits[:5])
