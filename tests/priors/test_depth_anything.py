@@ -6,7 +6,6 @@ import torch
 
 from tdgbench.priors import PriorUnavailableError, prepare
 from tdgbench.priors.depth_anything import DepthAnythingPrior
-from tdgbench.priors.prior import chosen_device
 
 transformers = pytest.importorskip("transformers", reason="the extra `depth` is not installed")
 
@@ -56,23 +55,6 @@ def test_is_what_transformers_own_pipeline_gives(tiny_model, small_gray_scene):
     assert np.allclose(prior.estimate(small_gray_scene, view).values, theirs, atol=1e-6)
 
 
-def test_the_same_image_gives_the_same_map(tiny_model, small_scene):
-    a, b = (DepthAnythingPrior(tiny_model, "cpu").estimate(small_scene, small_scene.train[0]).values for _ in range(2))
-    assert np.array_equal(a, b)
-    other = DepthAnythingPrior(tiny_model, "cpu").estimate(small_scene, small_scene.train[1]).values
-    assert not np.array_equal(a, other)
-
-
-def test_the_identity_names_the_model(tiny_model):
-    assert DepthAnythingPrior(tiny_model, "cpu").identity(None)["model"] == tiny_model
-    assert DepthAnythingPrior("depth-anything/small", "cpu").identity(None)["model"] == "depth-anything/small"
-
-
 def test_a_folder_without_weights_is_named(tmp_path):
     with pytest.raises(PriorUnavailableError, match=f"prior=depth_anything is not available: no weights of {tmp_path}"):
         prepare(DepthAnythingPrior(str(tmp_path), "cpu"))
-
-
-def test_the_device():
-    assert chosen_device("cpu").type == "cpu"
-    assert chosen_device("auto").type == ("cuda" if torch.cuda.is_available() else "cpu")

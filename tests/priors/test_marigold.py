@@ -66,8 +66,3 @@ def test_same_seed_same_map(tiny_model, small_scene):
     view = small_scene.train[0]
     a, b, c = (make(tiny_model, seed).estimate(small_scene, view).values for seed in (0, 0, 1))
     assert np.array_equal(a, b) and not np.array_equal(a, c)
-
-
-def test_the_identity_names_the_model(tiny_model):
-    assert make(tiny_model).identity(None)["model"] == tiny_model
-    assert make(tiny_model).identity(None) != make(tiny_model, seed=1).identity(None)

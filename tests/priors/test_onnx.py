@@ -13,10 +13,22 @@ from tdgbench.scenes import FolderDataset, ReadOptions
 from tdgbench.splats.cpu import pool
 from tests.helpers.paths import SHARED
 from tests.priors.estimators import make
-from tests.priors.onnx_files import UINT8, channel_mean
 
 onnx = pytest.importorskip("onnx", reason="the extra `onnx` is not installed")
 pytest.importorskip("onnxruntime", reason="the extra `onnx` is not installed")
+
+
+def channel_mean(shape, axis=1, outputs=("depth",), elem_type=onnx.TensorProto.FLOAT, inputs=1) -> bytes:
+    """A model whose outputs are the mean of its first input over one axis, which stays with size 1."""
+    make_node, tensor = onnx.helper.make_node, onnx.helper.make_tensor_value_info
+    names = ["image", *(f"more{number}" for number in range(1, inputs))]
+    left = [1 if place == axis else side for place, side in enumerate(shape)]
+    graph = onnx.helper.make_graph(
+        [make_node("ReduceMean", ["image"], [name], axes=[axis], keepdims=1) for name in outputs], "mean",
+        [tensor(name, elem_type, shape) for name in names], [tensor(name, elem_type, left) for name in outputs],
+    )  # fmt: skip
+    version = onnx.helper.make_opsetid("", 13)
+    return onnx.helper.make_model(graph, opset_imports=[version], ir_version=8).SerializeToString()
 
 
 @pytest.fixture
@@ -103,7 +115,7 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path, small_scene, monkeypatch)
     refused(
         r"text\.onnx cannot be read as an ONNX model \(.*\n  export the network again", model=tmp_path / "text.onnx"
     )
-    (tmp_path / "bytes.onnx").write_bytes(channel_mean([1, 3, 8, 8], elem_type=UINT8))
+    (tmp_path / "bytes.onnx").write_bytes(channel_mean([1, 3, 8, 8], elem_type=onnx.TensorProto.UINT8))
     refused(r"bytes\.onnx", model=tmp_path / "bytes.onnx")
     with pytest.raises(PriorUnavailableError, match=r"no\.onnx cannot be used"):
         make("onnx", model=tmp_path / "no.onnx").identity(small_scene)
@@ -254,6 +266,7 @@ def test_a_real_network_gives_the_same_map_with_any_number_of_threads(real_netwo
     assert np.ptp(maps[0]) > 0 and all(np.array_equal(maps[0], other) for other in maps[1:])
 
 
+@pytest.mark.slow
 def test_a_real_network_on_a_real_scene(real_network, arco_folder):
     """Its README: rank correlation with the SfM depth −0.18 in the median view, −0.94 in the best."""
     from scipy.stats import spearmanr

@@ -35,15 +35,6 @@ def test_the_default_prior_is_the_paper_s_for_real_scenes_and_needs_no_network_f
     assert config(*words).prior.name == name
 
 
-@pytest.mark.parametrize(
-    ("name", "source"),
-    [("marigold", "thermal images"), ("depth_anything", "thermal images"), ("onnx", "thermal images"),
-     ("sfm_points", "points"), ("files", "files"), ("synthetic", "truth")],
-)  # fmt: skip
-def test_a_prior_says_what_it_is_made_from(name, source):
-    assert config(f"prior={name}").prior.made_from == source
-
-
 class Counting:
     def __init__(self, name: str = "a") -> None:
         self.calls, self.name = 0, name

@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -18,12 +16,6 @@ def test_sfm_points_find_the_depth(data_root, name):
         prior = make("sfm_points").estimate(scene, view)
         assert prior.kind == "disparity" and np.isfinite(prior.values).all()
         assert correlation(prior.values, 1 / view.true_depth) > 0.8
-
-
-def test_sfm_points_need_points(small_scene):
-    bare = dataclasses.replace(small_scene, points=None)
-    with pytest.raises(PriorError, match="needs a COLMAP model with points"):
-        make("sfm_points").estimate(bare, small_scene.train[0])
 
 
 def test_options_that_leave_no_finite_depth_are_an_error(small_gray_scene):
