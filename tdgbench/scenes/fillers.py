@@ -42,7 +42,7 @@ class Fillers:
     """Values that stand for pixels without a measurement, °C."""
 
     values: tuple[float, ...] = ()
-    beyond: tuple[float, ...] = ()  # those outside the range of all other temperatures
+    beyond: tuple[float, ...] = ()  # the values outside the range of all other temperatures
 
     def mask(self, degC: np.ndarray, block: int = 1) -> np.ndarray:
         """Return pixels (H, W) bool of temperatures (H, W) in °C that were not measured.
@@ -77,7 +77,7 @@ def given_fillers(values: Iterable[float]) -> Fillers:
 
 
 def grown(filled: np.ndarray, block: int = 1) -> np.ndarray:
-    """Return filled pixels (H, W) bool, those next to them, and all others of the blocks that these lie in.
+    """Return filled pixels (H, W) bool, their neighbours, and all pixels of the blocks that they touch.
 
     >>> grown(np.array([[1, 0, 0, 0, 0, 0]], bool), block=4).astype(int)
     array([[1, 1, 1, 1, 0, 0]])
@@ -95,7 +95,7 @@ def impossible(degC: np.ndarray) -> np.ndarray:
 
 
 def connected_to_border(pixels: np.ndarray) -> np.ndarray:
-    """Return those of the pixels (H, W) bool that are connected to the border through others of them.
+    """Return the pixels (H, W) bool that other ones of them connect to the border.
 
     >>> connected_to_border(np.array([[1, 0, 0, 0], [1, 0, 1, 0], [0, 0, 0, 0]], bool)).astype(int)
     array([[1, 0, 0, 0],
@@ -109,7 +109,7 @@ def connected_to_border(pixels: np.ndarray) -> np.ndarray:
 def find_fillers(views: Mapping[str, np.ndarray], known: Collection[str] = ()) -> Fillers:
     """Find the fillers of a scene in the temperatures (H, W) in °C of all its views.
 
-    known: views whose fillers are not finite; they show where those of the others lie.
+    known: views whose fillers are not finite; they show where the other views have theirs.
     """
     regions = [region for name, view in views.items() if name not in known for region in _filled_regions(view)]
     if not regions:

@@ -172,7 +172,7 @@ def _about_blind(views: Sequence[View], points: np.ndarray, sight: Sight) -> str
 
 
 def _about_lost(cameras: Sequence[Camera], points: np.ndarray, sight: Sight) -> str:
-    """Doubt points (N, 3) that lie behind all cameras, or further away than what these tell apart."""
+    """Doubt points (N, 3) that lie behind all cameras, or too far away for a parallax."""
     centers = centers_of(cameras)
     baseline = np.linalg.norm(np.ptp(centers, axis=0))
     away = np.linalg.norm(sample_of(points) - centers.mean(axis=0), axis=1)

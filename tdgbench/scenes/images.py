@@ -32,8 +32,8 @@ def read_image(path: Path) -> np.ndarray:
 def unit_image(decoded: Decoded, path: Path, radiometry: Radiometry | None = None) -> np.ndarray:
     """Return the pixels of 8 or 16 bits as float32 (H, W, 1 or 3) in [0, 1].
 
-    8-bit values are divided by 255. 16-bit values are divided by 65 535, or mapped to °C where the file or `radiometry`
-    says how, and these to its range. Raises SceneError naming the file.
+    8-bit values are divided by 255. 16-bit values are divided by 65 535 or, where the file or `radiometry` states their
+    °C, scaled to the range of `radiometry`. Raises SceneError naming the file.
     """
     values, found = decoded.values, decoded.header
     if found.depth == "8-bit":

@@ -19,6 +19,7 @@ from tdgbench.scenes.inputs import check_view_name
 from tdgbench.text import first_few
 
 _EXTENSIONS = {*SUFFIXES, *UNREAD, ".npy"}
+_Ranked = tuple[tuple[int, int], str]  # rank of a file among a view's, and the file
 
 
 def key(name: str) -> str:
@@ -80,7 +81,7 @@ def pair(files: Iterable[str], views: Mapping[str, str], where: str) -> dict[str
         by_base.setdefault(_base(path), []).append(view)
     nested = all("/" in one for one in files)
     loose = not _twice(map(_base, files)) and not _twice(map(_base, views.values()))
-    found: dict[str, list[tuple[tuple[int, int], str]]] = {}
+    found: dict[str, list[_Ranked]] = {}
     for file in files:
         ranks = {file: (1, 0)} if file in views else {}
         for view in by_base.get(_base(file), []):
@@ -92,12 +93,16 @@ def pair(files: Iterable[str], views: Mapping[str, str], where: str) -> dict[str
             raise SceneError(f"{where}: {file} may be {named}; put images into folders as the poses name them")
         for view in best:
             found.setdefault(view, []).append((ranks[view], file))
-    for view, candidates in found.items():
-        candidates.sort(reverse=True)
-        if len(candidates) > 1 and candidates[0][0] == candidates[1][0]:
-            both = " and ".join(sorted(file for _, file in candidates[:2]))
-            raise SceneError(f"{where}: {both} are both view {view}; keep one of them")
-    return {view: candidates[0][1] for view, candidates in found.items()}
+    return {view: _best(view, candidates, where) for view, candidates in found.items()}
+
+
+def _best(view: str, candidates: list[_Ranked], where: str) -> str:
+    """Return the file that fits a view best. Raises SceneError for two such files."""
+    candidates = sorted(candidates, reverse=True)
+    if len(candidates) > 1 and candidates[0][0] == candidates[1][0]:
+        both = " and ".join(sorted(file for _, file in candidates[:2]))
+        raise SceneError(f"{where}: {both} are both view {view}; keep one of them")
+    return candidates[0][1]
 
 
 def _rank(file: str, path: str, nested: bool, loose: bool) -> tuple[int, int] | None:

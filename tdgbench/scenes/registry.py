@@ -42,7 +42,7 @@ class RegisteredScene:
         return plain_name(folder) in {plain_name(name) for name in (self.name, *self.aliases)}
 
     def find(self, dataset_folder: Path) -> Path | None:
-        """Find this scene's folder inside that of its data set, or None. Raises SceneError if there are two."""
+        """Find this scene's folder in its data set's, or None. Raises SceneError if there are two."""
         if not is_folder(dataset_folder):
             return None
         folders = [p for p in listed(dataset_folder) if not is_hidden(p.name) and self.matches(p.name) and is_folder(p)]

@@ -151,7 +151,7 @@ class Scene:
     assumed: dict[str, str] = field(default_factory=dict)  # how its files were read where they could be read otherwise
     doubts: list[str] = field(default_factory=list)  # of its cameras and points; each names a view and a remedy
     model: Path | None = None  # folder of its COLMAP model
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of its world, in that of its files
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of its world, in the world of its files
 
     def fingerprint_with(self, *changes: bytes) -> str:
         """Return the fingerprint of the scene with changed images. changes: all that the change depends on."""

@@ -92,7 +92,7 @@ def finite_number(value: object) -> float:
 
 
 def robust_range(samples: Iterable[np.ndarray], steps: int = 100) -> TemperatureRange:
-    """Return range between PERCENTILES of values (N,), temperatures in °C or counts, in whole steps: so many are 1.
+    """Return the range between PERCENTILES of values (N,), °C or counts, widened to multiples of 1 / steps.
 
     Raises ValueError if all values are equal.
 
@@ -106,7 +106,7 @@ def robust_range(samples: Iterable[np.ndarray], steps: int = 100) -> Temperature
 
 
 def sampled(values: np.ndarray, views: int) -> np.ndarray:
-    """Return evenly spaced values of those (N,) of a view, so that all `views` have MOST_SAMPLES at most.
+    """Return evenly spaced ones of a view's values (N,), so few that all `views` have MOST_SAMPLES at most.
 
     >>> sampled(np.arange(9), views=250_000)
     array([0, 3, 6])

@@ -180,7 +180,7 @@ def measured_images(request: ThermalRequest, read: Reader, unit: Unit = CELSIUS)
 
 
 def _measured(request: ThermalRequest, read: Reader, unit: Unit) -> tuple[dict[str, MaskedImage], list[str]]:
-    """Return values (H, W, 1) of each view, resampled, whose fillers are masked; and notes on these."""
+    """Return values (H, W, 1) of each view, resampled, with masked fillers, and notes on the fillers."""
     raw = {name: read(source.path) for name, source in request.sources.items()}
     known = {name for name, view in raw.items() if view.is_masked}
     given = request.options.fillers

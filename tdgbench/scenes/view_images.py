@@ -100,9 +100,9 @@ def _read_shown(source: ImageSource, radiometry: Radiometry | None) -> MaskedIma
 def hidden_by(source: ImageSource, image: np.ndarray, valid: np.ndarray | None = None) -> np.ndarray | None:
     """Return the pixels (H, W) bool of an image (H, W, C) that its file or the view's mask hides, or None.
 
-    valid: (H, W) bool, of its file. A mask hides where all its channels are 0, or where they are not if it is inverted;
-    that of a JPEG, whose levels are rounded, below or from the middle. One of another size is resized; a pixel that is
-    partly hidden is hidden. Raises SceneError.
+    valid: (H, W) bool, of its file. A mask hides where all its channels are 0; an inverted one, where they are not. In
+    a JPEG, whose levels are rounded, values below the middle count as 0. A mask of another size is resized, and hides
+    what it partly hides. Raises SceneError.
     """
     if source.mask is None:
         return None if valid is None else ~valid

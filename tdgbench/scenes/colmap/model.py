@@ -149,8 +149,7 @@ def _cloud(points: Points, names: dict[int, str], path: Path) -> PointCloud | No
 def write_model(folder: Path, views: list[tuple[str, Camera]], points: PointCloud, observations: int = 0) -> None:
     """Write a binary COLMAP model of views (file name, camera) and points. Views with one K and size share a camera.
 
-    observations: so many of the points that lie in a view's image, at most, are its 2D points, where they are projected
-    to; points that a surface hides are among them.
+    observations: most 2D points of a view. They are projections of points in its image; a surface may hide some.
     """
     model = pycolmap.Reconstruction()
     cameras: dict[tuple[float, ...], int] = {}

@@ -1,4 +1,4 @@
-"""COLMAP's text files, and those that people write. Layout: COLMAP's src/colmap/scene/reconstruction_io_text.cc.
+"""COLMAP's text files, also as people write them. Layout: COLMAP's src/colmap/scene/reconstruction_io_text.cc.
 
 COLMAP ends every line, so a file with its header and an unfinished last line is cut.
 """

@@ -149,15 +149,20 @@ def _decode(source: Source) -> Decoded:
         most = 1.0 if values.dtype.kind == "f" else float(np.iinfo(values.dtype).max)
         values, opaque = without_alpha(values, most, source.path)
         valid = _both(valid, opaque)
-    if header.meaning == "counts" and (values.max() > LARGEST or values.min() < -LARGEST):
-        raise SceneError(f"{source.path} has counts beyond ±{LARGEST}; export it with 16 bits, or as float TIFF in °C")
-    if header.meaning == "shown" and values.shape[2] not in (1, 3):
-        raise SceneError(f"{source.path} has {values.shape[2]} bands of 8 bits; an image has 1 or 3. Save one band")
+    _check_values(values, header, source.path)
     if header.meaning == "shown" and is_inverted:
         values = np.uint8(255) - values
     if nodata is not None:
         valid = _both(valid, np.asarray(_is_data(values, str(nodata)).all(axis=2)))
     return Decoded(values, header, valid)
+
+
+def _check_values(values: np.ndarray, header: Header, path: Path) -> None:
+    """Raise SceneError for counts that float32 does not hold, and for bands (H, W, C) that no picture has."""
+    if header.meaning == "counts" and (values.max() > LARGEST or values.min() < -LARGEST):
+        raise SceneError(f"{path} has counts beyond ±{LARGEST}; export it with 16 bits, or as float TIFF in °C")
+    if header.meaning == "shown" and values.shape[2] not in (1, 3):
+        raise SceneError(f"{path} has {values.shape[2]} bands of 8 bits; an image has 1 or 3. Save one band")
 
 
 def _is_data(values: np.ndarray, nodata: str) -> np.ndarray:

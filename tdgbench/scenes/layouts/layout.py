@@ -158,8 +158,8 @@ def _same_camera(one: RegisteredImage | None, other: RegisteredImage) -> bool:
 def find_images(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> Images:
     """Find images below a folder, also in its subfolders, by key; none without the folder.
 
-    suffixes: in lower case; those of files may be in upper case. Hidden files, and masks beside images, are passed
-    over. Raises SceneError for a name that no result could have, two files of one key, and what is no regular file.
+    suffixes: in lower case; a file's may be in upper case. Hidden files, and masks beside images, are passed over.
+    Raises SceneError for a name that no result could have, two files of one key, and what is no regular file.
     """
     if not is_there(folder):
         return Images({}, {}, [])
@@ -200,7 +200,7 @@ def _files_below(folder: Path, suffixes: tuple[str, ...], above: set[Path]) -> I
 
 
 def by_view(folder: Path, images: Images, posed: Mapping[str, RegisteredImage]) -> Images:
-    """Return images by view name; those without a pose by key. folder: of the scene. Raises SceneError."""
+    """Return images by view name; images without a pose by key. folder: of the scene. Raises SceneError."""
     views = {file: view for view, file in pair(images.paths, _keys(posed), str(folder)).items()}
     paths: dict[str, Path] = {}
     for file, path in images.paths.items():

@@ -79,7 +79,7 @@ class Transforms:
     frames: dict[str, TransformsFrame]
     lists: dict[str, list[str]]  # view names by split, of SPLITS
     points: Path | None  # of a .ply file, relative to its folder
-    applied_transform: np.ndarray | None  # (4, 4), from the original world to that of the frames
+    applied_transform: np.ndarray | None  # (4, 4), from the original world to the frames'
     assumed: dict[str, str]  # as of Scene
 
 

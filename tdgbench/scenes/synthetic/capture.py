@@ -21,7 +21,7 @@ from tdgbench.scenes.camera import Camera, pose_at
 from tdgbench.scenes.errors import SceneError
 
 STREAM = 16  # of random numbers, so that errors do not change a scene's other draws
-NEWTON, WITHIN = 20, 1e-9  # steps that undo a distortion, to so much in normalised coordinates
+NEWTON, WITHIN = 20, 1e-9  # steps that undo a distortion; largest error, in normalised coordinates
 SMOOTHING = 4.0  # views, σ; over which the drift keeps its direction
 QUARTIC = 0.5  # share of r⁴ in the vignette, the rest is r²
 COLUMNS = 0.5  # share of the fixed pattern's variance that is common to a column, which is read out by one amplifier
@@ -147,7 +147,7 @@ def _pattern(width: int, height: int, rng: np.random.Generator) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TrueRig:
-    """How the thermal camera differs from the given one, that of RGB images and model; in no way by default."""
+    """How the thermal camera differs from the given camera of RGB images and model. By default, it does not."""
 
     offset: Three = field(default_factory=lambda: [0.0] * 3)  # of its centre, right, down and forward, world units (m)
     degrees: Three = field(default_factory=lambda: [0.0] * 3)  # of its turn, a rotation vector in the same axes

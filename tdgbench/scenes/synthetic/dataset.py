@@ -119,9 +119,9 @@ def write_scene(world: World, folder: Path, asked: SyntheticDataset) -> None:
 def _write_files(world: World, folder: Path, asked: SyntheticDataset) -> None:
     """Write a scene's files.
 
-    Images are those of the true cameras, the COLMAP model has the given ones; its points are where they are. True depth
-    and true temperatures are those of the thermal images, pixel by pixel: with a rig, of the thermal camera. Errors
-    have random numbers of their own. The errors of the thermal camera and its rig are written beside the scene.
+    The true cameras take the images; the COLMAP model has the given cameras and the true points. True depth and true
+    temperatures belong to the pixels of the thermal images, with a rig to the thermal camera's. Errors have random
+    numbers of their own. The true camera and the rig are written beside the scene.
     """
     for sub in ("rgb", "thermal", "depth", "temperature"):
         (folder / sub).mkdir(parents=True)

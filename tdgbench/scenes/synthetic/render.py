@@ -33,11 +33,11 @@ class World:
     point_share: float = 1.0  # of the requested number of sparse points
     up: Vector = UP  # direction that is up in the images
     length: float | None = None  # of what the cameras see, along x; None: no axis is longer than the others
-    apart: int | None = None  # every so manieth view, the first one too, shows none of the sparse points; None: all do
+    apart: int | None = None  # every n-th view, from the first on, shows none of the sparse points; None: all do
     degC_per_metre: float = 0.0  # along x, beside what the materials have
 
     def with_gradient(self, degC: float) -> World:
-        """Return the world warmer by so much at the end of its length than at its start; itself if it has no length."""
+        """Return the world with its end `degC` warmer than its start; the same one if it has no length."""
         if not degC or self.length is None:
             return self
         low, high = self.temperatures

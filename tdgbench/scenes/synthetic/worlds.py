@@ -41,7 +41,7 @@ STRAY = 0.003  # standard deviation of the cameras' places, × distance to the s
 TILT = 0.001  # of their directions, radians
 HEIGHT, HALF_FLIGHT, HALF_LINES = 20.0, 14.0, 7.0  # m; of the flight, half its lines' length, half its width
 TO_WALL, HALF_WALK, HALF_RISE = 4.0, 2.8, 1.4  # m; from the camera to `wall`, half its lines' length, half their height
-APART = 5  # every so manieth view of half_seen is from elsewhere: those that the split eighty_twenty tests
+APART = 5  # every n-th view of half_seen is from elsewhere: the test views of the split eighty_twenty
 CIRCLE = 2 * np.pi  # radians
 RELIEF = 0.15  # of the hills, highest to lowest, × HEIGHT
 
@@ -94,7 +94,7 @@ def _grid(count: int, rng: Generator) -> Places:
 
 
 def _spread(index: np.ndarray, count: int) -> np.ndarray:
-    """Return those numbered `index` of `count` even places from −1 to 1."""
+    """Return places number `index` of `count` even places from −1 to 1."""
     return 2 * index / max(count - 1, 1) - 1
 
 
