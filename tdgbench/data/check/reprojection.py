@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pycolmap
 
-from tdgbench.scenes import SceneError
+from tdgbench.scenes import Scene, SceneError
 from tdgbench.scenes.colmap.model import FORMATS, model_files
 from tdgbench.scenes.colmap.tables import ImageEntry
 
@@ -16,24 +14,25 @@ FAR = 0.05  # median error of a wrong view, × diagonal of the image; COLMAP dro
 NO_POINT = np.uint64(2**64 - 1)  # of a 2-D point, in place of its point's id
 
 
-def wrong_views(folder: Path) -> list[str]:
-    """Return a problem per view of a COLMAP model whose points project far from where it shows them.
+def wrong_views(scene: Scene) -> list[str]:
+    """Return a problem per view of the scene's COLMAP model whose points project far from where it shows them.
 
     Models without 2-D points, and ones that are not read, have none. Points may have been removed.
     """
+    folder, points = scene.model, scene.points
+    if folder is None or points is None or points.ids is None:
+        return []
     try:
-        cameras_file, images_file, points_file = model_files(folder)
+        cameras_file, images_file, _ = model_files(folder)
         reader = FORMATS[cameras_file.suffix]
         cameras = {
             row.id: pycolmap.Camera(model=row.model, width=row.width, height=row.height, params=list(row.params))
             for row in reader.read_cameras(cameras_file)
         }
         views = [(row, cameras[row.camera_id]) for row in reader.read_images(images_file, observed=True)]
-        points = reader.read_points(points_file)
     except (SceneError, LookupError, ValueError, TypeError):  # the last of pycolmap, for a size that no camera has
         return []
-    order, problems = np.argsort(points.ids), []
-    ids, xyz = points.ids[order], points.xyz[order]
+    ids, xyz, problems = points.ids, points.points + scene.origin, []
     for image, camera in views:
         shown = image.points[image.points["point"] != NO_POINT]
         shown = shown[:: max(1, -(-len(shown) // MOST))]
@@ -54,7 +53,6 @@ def wrong_views(folder: Path) -> list[str]:
 
 def _errors(image: ImageEntry, camera: pycolmap.Camera, xy: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     """Return how far (N,) px from their places (N, 2) in an image points (N, 3) project; inf for those behind it."""
-    w, x, y, z = image.quaternion
-    pose = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([x, y, z, w])), np.array(image.translation)).matrix()
+    pose = image.pose
     projected = np.asarray(camera.img_from_cam(xyz @ pose[:, :3].T + pose[:, 3]))
     return np.where(np.isfinite(projected).all(axis=1), np.hypot(*(xy - projected).T), np.inf)

@@ -137,7 +137,7 @@ def _described(scene: Scene, dataset: str) -> SceneCheck:
         )
     if scene.points is None:
         notes.append("no sparse points: use init=random; prior=sfm_points is not possible")
-    wrong = [] if scene.model is None else wrong_views(scene.model)
+    wrong = wrong_views(scene)
     if len(wrong) > len(views) / 2:
         notes.append(f"the sparse points do not project to where {len(wrong)} views show them; were cameras edited?")
         wrong = []
