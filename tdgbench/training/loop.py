@@ -177,7 +177,7 @@ def _ends(trainer: Trainer, iteration: int, loss: Any) -> bool:
 def _line(log: TrainingLog, step: Step, trainer: Trainer) -> LogLine:
     """Return the line of an iteration; its PSNR is smoothed with that of the line before."""
     loss, terms = step.numbers()
-    psnr = _psnr(step)
+    psnr = step.psnr()
     smoothed = psnr if not log.lines else 0.8 * log.lines[-1].psnr + 0.2 * psnr
     return LogLine(log.iterations, log.seconds, loss, smoothed, _gaussians(trainer), terms)
 
@@ -227,18 +227,6 @@ def _check_gradient(read: Callable[[], str | None], part: str, iteration: int) -
     bad = read()
     if bad is not None:
         raise NonFiniteError(iteration, f"gradient of {part} {bad}")
-
-
-@torch.no_grad()
-def _psnr(step: Step) -> float:
-    """Return the PSNR of the render at valid pixels, dB; finite for every finite render."""
-    difference = step.render.image - step.target
-    if step.valid is not None:
-        difference = difference[step.valid]
-    mse = difference.square().mean().item()
-    if math.isinf(mse):  # the squares exceed float32
-        mse = difference.double().square().mean().item()
-    return -10 * math.log10(max(mse, 1e-12))
 
 
 def _first_bad(step: Step, terms: Mapping[str, float]) -> str:

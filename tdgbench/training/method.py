@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
@@ -36,6 +37,17 @@ class Step:
         scalars = [torch.as_tensor(value).detach().to(self.loss) for value in (self.loss, *self.terms.values())]
         loss, *terms = torch.stack(scalars).tolist()
         return loss, dict(zip(self.terms, terms, strict=True))
+
+    @torch.no_grad()
+    def psnr(self) -> float:
+        """Return the PSNR of the render at valid pixels, dB; finite for every finite render."""
+        difference = self.render.image - self.target
+        if self.valid is not None:
+            difference = difference[self.valid]
+        mse = difference.square().mean().item()
+        if math.isinf(mse):  # the squares exceed float32
+            mse = difference.double().square().mean().item()
+        return -10 * math.log10(max(mse, 1e-12))
 
 
 class Stage(NamedTuple):

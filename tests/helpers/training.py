@@ -87,10 +87,10 @@ def train_killed(make: Callable[[], Trainer], path: Path, stops: Sequence[int]) 
 
 
 def digest(trainer: Trainer) -> str:
-    """Return a hash of every parameter of the Gaussians in training."""
+    """Return a hash of every parameter of the Gaussians in training, which does not change later steps."""
     content = hashlib.sha256()
     for model in trainer.gaussians.values():
-        for _, tensor in model.gaussians.items():
+        for _, tensor in model.copy().items():
             content.update(tensor.detach().numpy().tobytes())
     return content.hexdigest()
 

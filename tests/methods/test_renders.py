@@ -80,7 +80,7 @@ def test_scores_are_those_of_the_cell_that_made_the_renders(run, tmp_path, small
         assert (folder / path).read_bytes() == (cell / path).read_bytes()
 
 
-def test_the_cell_says_that_nothing_was_trained(run, tmp_path, small_gray_scene):
+def test_cell_and_report_say_that_nothing_was_trained(run, tmp_path, small_gray_scene):
     run("3dgs")
     folder, record = run("renders", folder=write_arrays(small_gray_scene, tmp_path / "renders"))
     assert record.iterations == planned_iterations(record) == 0 and "train" not in record.seconds
@@ -92,10 +92,6 @@ def test_the_cell_says_that_nothing_was_trained(run, tmp_path, small_gray_scene)
     assert verify(tmp_path / "results/single").problems == []  # also of folders with the method's name
     with pytest.raises(ValueError, match="renders are images"):
         open_cell(folder)
-
-
-def test_the_report_shows_the_renders_without_depth_and_curves(run, tmp_path, small_gray_scene):
-    folder, record = run("renders", folder=write_arrays(small_gray_scene, tmp_path / "renders"))
     section = scene_section(record.dataset, record.scene, [Cell(folder, record)])
     (shown,) = section["methods"]
     assert section["problems"] == [] and shown["render"] and shown["error"] and not shown["depth"]
@@ -106,6 +102,8 @@ def test_a_cell_is_verified_without_the_folder_and_a_changed_picture_is_found(ru
     folder, _ = run("renders", folder=source)
     source.rename(tmp_path / "elsewhere")
     assert verify_cell(folder) == []
+    stored = torch.load(folder / "parts.pt", weights_only=True)["renders"]
+    assert sorted(stored) == sorted(view.name for view in small_gray_scene.test)
     path = next((folder / "renders").iterdir())
     Image.fromarray(np.asarray(Image.open(path)) // 2).save(path)
     problems = verify_cell(folder)
@@ -223,6 +221,7 @@ FAULTS = {
     "cannot be read as an .npy array": lambda path, values: path.write_bytes(b"\x80\x04cos\nsystem\n"),
     "are both of view": lambda path, values: path.with_suffix(".png").write_bytes(b""),
     "files of no test view": lambda path, values: (path.parent / "notes.txt").write_text(""),
+    "files of no test view of turntable: view007.npy": lambda path, values: np.save(path.parent / "view007", values),
     "is PNG of 16-bit": lambda path, values: (
         path.unlink(), Image.fromarray(np.zeros((36, 48), np.uint16)).save(path.with_suffix(".png"))
     ),
@@ -239,13 +238,6 @@ def test_a_faulty_file_is_an_error_that_names_it(small_gray_scene, tmp_path, mes
     FAULTS[message](folder / f"{view.name}.npy", view.thermal)
     text = error_of(small_gray_scene, folder)
     assert message in text and str(folder) in text
-
-
-def test_a_file_of_a_training_view_is_an_error(small_gray_scene, tmp_path):
-    folder = write_arrays(small_gray_scene, tmp_path / "renders")
-    name = small_gray_scene.train[0].name
-    np.save(folder / f"{name}.npy", small_gray_scene.train[0].thermal)
-    assert f"files of no test view of {small_gray_scene.name}: {name}.npy" in error_of(small_gray_scene, folder)
 
 
 @pytest.mark.parametrize(
@@ -289,10 +281,3 @@ def test_a_picture_of_degrees_is_refused(small_gray_scene, tmp_path):
     for view in small_gray_scene.test:
         Image.fromarray((view.thermal[..., 0] * 255).astype(np.uint8)).save(folder / f"{view.name}.png")
     assert "write °C as .npy" in error_of(small_gray_scene, folder)
-
-
-def test_the_renders_of_a_cell_are_its_own_part(run, tmp_path, small_gray_scene):
-    scene = small_gray_scene
-    folder, _ = run("renders", folder=write_arrays(scene, tmp_path / "renders"))
-    stored = torch.load(folder / "parts.pt", weights_only=True)["renders"]
-    assert sorted(stored) == sorted(view.name for view in scene.test)

@@ -94,7 +94,7 @@ def test_the_corner_loss_weights_flat_pixels():
 
 
 def test_a_record_says_whether_the_conduction_module_is_dead(small_gray_scene):
-    found = set()
+    found, again = set(), ready_to_train(small_gray_scene, "thermal3dgs", 3, *ALL_TERMS)
     for seed in range(6):
         trainer = ready_to_train(small_gray_scene, "thermal3dgs", 3, *ALL_TERMS, seed=seed)
         train(trainer)
@@ -103,7 +103,6 @@ def test_a_record_says_whether_the_conduction_module_is_dead(small_gray_scene):
         assert report["parameters"] == 7 and report["dead"] == (report["adds_at_most"] == 0)
         if not report["dead"]:
             assert report["adds_at_most"] < 3 / math.sqrt(36)
-        again = ready_to_train(small_gray_scene, "thermal3dgs", 3, *ALL_TERMS, seed=seed)
         again.parts["conduction"].load_state_dict(trainer.parts["conduction"].state_dict())
         assert again.reports()["conduction"] == report
     assert found == {True, False}

@@ -26,14 +26,6 @@ def test_views_come_once_per_round():
     assert [order.left for _ in range(7) if order.next() is not None] == [6, 5, 4, 3, 2, 1, 0]
 
 
-def test_an_order_of_views_goes_on_where_it_was():
-    order, again = (ViewOrder(list(range(7)), 0, Curriculum()) for _ in range(2))  # type: ignore[arg-type]
-    for _ in range(10):
-        order.next()
-    again.load_state_dict(order.state_dict())
-    assert [order.next() for _ in range(30)] == [again.next() for _ in range(30)]
-
-
 def test_streams_are_independent_and_repeatable(small_scene):
     def draws(seed):
         context = context_of(small_scene, seed=seed)

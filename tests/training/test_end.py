@@ -1,5 +1,7 @@
 """How a training ends: with the model before the last iteration's density control, whatever its length."""
 
+from functools import cache
+
 import pytest
 from hydra.utils import instantiate
 from hypothesis import HealthCheck, given, settings
@@ -9,7 +11,7 @@ from tdgbench.training.budget import PlateauRule
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.plateau import Plateau
 from tests.helpers.configs import config
-from tests.helpers.training import digest, ready_to_train
+from tests.helpers.training import KilledError, digest, ready_to_train
 
 OFTEN = (
     "budget.density.start=20", "budget.density.every=10", "budget.density.opacity_reset_every=60",
@@ -17,27 +19,27 @@ OFTEN = (
 )  # fmt: skip
 
 
-class EnoughError(Exception):
-    pass
+LENGTHS = (1, 2, 29, 30, 40, 60, 61, 70, 100)
 
 
-def saved_at(scene, iteration: int) -> str:
-    """The model of a long training at an iteration, before its density control."""
-    trainer = ready_to_train(scene, "3dgs", 1000, *OFTEN)
-    digests = []
+@pytest.fixture(scope="module")
+def saved(small_gray_scene) -> dict[int, str]:
+    """Return the model of a training that goes on, before the density control of an iteration, by iteration."""
+    trainer, digests = ready_to_train(small_gray_scene, "3dgs", 1000, *OFTEN), {}
 
     def look(log: TrainingLog) -> None:
-        if log.iterations == iteration:
-            digests.append(digest(trainer))
-            raise EnoughError
+        if log.iterations in LENGTHS:
+            digests[log.iterations] = digest(trainer)
+        if log.iterations == max(LENGTHS):
+            raise KilledError
 
-    with pytest.raises(EnoughError):
+    with pytest.raises(KilledError):
         train(trainer, before_update=look)
-    return digests[0]
+    return digests
 
 
-@pytest.mark.parametrize("length", [1, 2, 29, 30, 40, 60, 61, 70, 100])
-def test_the_last_iteration_changes_nothing(small_gray_scene, length):
+@pytest.mark.parametrize("length", LENGTHS)
+def test_the_last_iteration_changes_nothing(small_gray_scene, saved, length):
     """Like the released code: what is scored is the model before density control, without a last step."""
     trainer = ready_to_train(small_gray_scene, "3dgs", length, *OFTEN)
     log = train(trainer)
@@ -48,16 +50,7 @@ def test_the_last_iteration_changes_nothing(small_gray_scene, length):
         for i in range(1, length)
     )
     assert same_so_far == (length not in (61, 70))
-    assert (digest(trainer) == saved_at(small_gray_scene, length)) == same_so_far
-
-
-@pytest.mark.parametrize("name", ["tdg", "msmg", "3dgs"])
-def test_a_round_in_the_last_iteration_is_left_out(small_gray_scene, name):
-    """Length 60 is a multiple of both intervals: neither new Gaussians nor opacities of at most 0.01."""
-    trainer = ready_to_train(small_gray_scene, name, 60, *OFTEN)
-    train(trainer)
-    for model in trainer.gaussians.values():
-        assert model.gaussians.opacities.max() > 0.1
+    assert (digest(trainer) == saved[length]) == same_so_far
 
 
 def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
@@ -81,14 +74,14 @@ def test_a_plateau_waits_until_the_models_have_recovered(small_gray_scene):
     assert ends[3] == next(i for i in range(ends[0], 1000) if rules.has_recovered(i, 1000))
 
 
-LENGTHS = st.builds(
+ANY_LENGTH = st.builds(
     lambda unit, times, beside: max(1, unit * times + beside),
     st.sampled_from([100, 500, 3000]), st.integers(1, 12), st.integers(-120, 120),
 )  # fmt: skip
 
 
 @pytest.mark.parametrize("budget", ["paper", "short", "demo"])
-@given(length=LENGTHS)
+@given(length=ANY_LENGTH)
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_no_length_is_a_bad_one(budget, length):
     """Around multiples of 100, 500 and 3 000: the model that is scored has recovered from the last density control."""
@@ -110,10 +103,6 @@ def test_the_published_lengths_follow_the_released_rules(length):
     assert [i for i in range(1, length + 1) if rules.is_reset(i, length)] == resets
 
 
-_cached = {}
-
-
+@cache
 def _rules(budget: str):
-    if budget not in _cached:
-        _cached[budget] = instantiate(config(f"budget={budget}").budget.density)
-    return _cached[budget]
+    return instantiate(config(f"budget={budget}").budget.density)

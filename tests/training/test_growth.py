@@ -21,9 +21,27 @@ def judge(views, gaussians=None, rule=RULE, modality=THERMAL, curriculum=None):
     return growth_test.decide(two() if gaussians is None else gaussians, 0, round_number=1)
 
 
-def test_what_all_views_show_grows():
-    assert judge(views(edge)).grow.tolist() == [True, False]
-    assert judge(views(edge, noise=0.05)).grow.tolist() == [True, False]
+def nothing(x, y, number):
+    return 0.0
+
+
+def faint(x, y, number):
+    return 0.02 * edge(x, y, number)
+
+
+@pytest.mark.parametrize(
+    ("given", "grows"),
+    [
+        pytest.param(lambda: views(edge), True, id="in all views"),
+        pytest.param(lambda: views(edge, noise=0.05), True, id="in all views, above their noise"),
+        pytest.param(lambda: views(faint, noise=0.2), False, id="in all views, below their noise"),
+        pytest.param(lambda: views(nothing, noise=0.2), False, id="noise alone"),
+        pytest.param(lambda: views(edge, masked=lambda x, y: x < 0.2), False, id="in masked pixels alone"),
+        pytest.param(lambda: views(edge, count=1), False, id="in one view"),
+    ],
+)
+def test_what_unmasked_pixels_of_several_views_show_grows(given, grows):
+    assert judge(given()).grow.tolist() == [grows, False]
 
 
 def test_what_the_background_shows_does_not_grow():
@@ -62,19 +80,6 @@ def test_of_what_noise_does_not_explain_the_strongest_that_make_up_a_share_grow(
         assert judge(given, rule=dataclasses.replace(RULE, share=share)).grow.tolist() == grown
 
 
-def test_noise_does_not_grow():
-    assert judge(views(lambda x, y, n: 0.0, noise=0.2)).grow.tolist() == [False, False]
-
-
-def test_an_edge_below_the_noise_of_the_images_does_not_grow():
-    faint = views(lambda x, y, n: 0.02 * edge(x, y, n), noise=0.2)
-    assert judge(faint).grow.tolist() == [False, False]
-
-
-def test_what_only_masked_pixels_show_does_not_grow():
-    assert judge(views(edge, masked=lambda x, y: x < 0.2)).grow.tolist() == [False, False]
-
-
 def test_a_colour_model_is_judged_by_colour_images():
     colour = two()
     colour.sh = torch.zeros(2, 1, 3)
@@ -100,10 +105,6 @@ def test_colours_of_one_brightness_are_told_apart():
         given.append(dataclasses.replace(gray, load_thermal=lambda image=image: image))
     gaussians = dataclasses.replace(two(), sh=torch.zeros(2, 1, 3))
     assert judge(given, gaussians).grow.tolist() == [True, False]
-
-
-def test_one_view_decides_nothing():
-    assert not judge(views(edge, count=1)).grow.any()
 
 
 def test_a_gaussian_in_which_a_camera_stands_is_pruned_even_if_that_view_is_held_out():

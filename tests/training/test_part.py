@@ -1,12 +1,11 @@
-"""Parts of a training: networks and streams, and what a part does by default."""
+"""Parts of a training: networks and streams."""
 
-import copy
 import io
 
 import pytest
 import torch
 
-from tdgbench.training.part import Network, Part, RandomStream
+from tdgbench.training.part import Network, RandomStream
 
 
 def mlp() -> torch.nn.Module:
@@ -91,14 +90,3 @@ def test_a_stream_goes_on_where_it_was():
     torch.rand(7, generator=stream.generator)
     again.load_state_dict(stored(stream.state_dict()))
     assert torch.equal(*(torch.rand(4, generator=one.generator) for one in (stream, again)))
-
-
-def test_a_part_does_nothing_by_default():
-    part = Part()
-    before = copy.deepcopy(vars(part))
-    part.begin(1)
-    part.set_slowdown(0.5)
-    part.stop_growth(3)
-    part.load_state_dict(part.state_dict())
-    assert part.step(1) is part.not_finite() is None and part.has_recovered(1)
-    assert part.report() == part.state_dict() == {} and vars(part) == before

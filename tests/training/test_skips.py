@@ -79,19 +79,15 @@ def test_reasons_and_savings(small_gray_scene, small_scene):
     assert not after(small_scene)["gray"].taken
     assert gray["unseen"].taken and "% of the rows" in gray["unseen"].saved
     assert gray["plateau"].reason == "the loss went on falling" and not gray["plateau"].taken
+    assert gray["depth"].reason == "3dgs has no depth loss" and gray["prior"].reason == "3dgs uses no prior"
     assert all(skip.reason for skip in gray.values())
+    tdg = after(small_gray_scene, "tdg")
+    assert tdg["depth"].taken and tdg["depth"].saved == "depth and its loss in 16 of 30 iterations"
 
 
 def test_what_is_switched_off_says_so(small_gray_scene):
     found = after(small_gray_scene, unseen=False, saturated=False)
     assert found["unseen"].reason == found["saturated"].reason == "switched off" and not found["unseen"].taken
-
-
-def test_methods_without_depth_or_prior(small_gray_scene):
-    found = after(small_gray_scene)
-    assert found["depth"].reason == "3dgs has no depth loss" and found["prior"].reason == "3dgs uses no prior"
-    tdg = after(small_gray_scene, "tdg")
-    assert tdg["depth"].taken and tdg["depth"].saved == "depth and its loss in 16 of 30 iterations"
 
 
 def test_a_backend_that_does_not_count_pairs_is_not_spoken_for(small_gray_scene):

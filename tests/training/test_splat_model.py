@@ -212,13 +212,6 @@ def test_a_colour_below_black(small_scene, every, comes_back):
     assert bool((base > BLACK + 0.001).any()) is comes_back
 
 
-def test_budgets_of_published_methods_lift_no_colour():
-    lifts = {
-        name: config(f"budget={name}").budget.get("lift_dark_every") for name in ("paper", "short", "demo", "lean")
-    }
-    assert lifts == {"paper": None, "short": None, "demo": None, "lean": 10}
-
-
 def test_the_report_counts_trained_numbers(small_scene):
     model = make(small_scene)
     trained = sum(tensor.numel() for _, tensor in model.gaussians.items())
