@@ -11,7 +11,7 @@ from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.paths import CAMERAS_FILE, LOG_FILE, RECORD_FILE, VIEWS_FILE
 from tdgbench.cells.read_files import read_text
 from tdgbench.cells.record import Record
-from tdgbench.verify import facts
+from tdgbench.verify import record_problems
 from tdgbench.verify.pictures import check_renders, picture_problems
 from tdgbench.verify.problems import Problems
 from tdgbench.verify.scores import mask_problems, mean_problems, score_problems
@@ -52,27 +52,27 @@ def verify_cell(folder: Path, weights: Path | None = None) -> list[str]:
     if stated is None:
         return problems.all
     cell, record = stated.cell, stated.cell.record
-    problems.check(f"fields of {RECORD_FILE}", facts.field_problems, stated.text)
-    problems.check("the key", facts.key_problems, record)
+    problems.check(f"fields of {RECORD_FILE}", record_problems.field_problems, stated.text)
+    problems.check("the key", record_problems.key_problems, record)
     if record.status == "failed":
         return problems.all
     problems.check("its files", cell.file_problems)
-    problems.check("its settings", facts.setting_problems, record)
+    problems.check("its settings", record_problems.setting_problems, record)
     cameras = problems.read(CAMERAS_FILE, lambda: cell.cameras)
     rows = problems.read(VIEWS_FILE, cell.read_views)
     log = problems.read(LOG_FILE, cell.read_log)
     if log is not None:
-        problems.check(LOG_FILE, facts.log_problems, record, log)
-    problems.check("its models", facts.model_problems, cell)
-    problems.check("scores of training views", facts.train_score_problems, record)
+        problems.check(LOG_FILE, record_problems.log_problems, record, log)
+    problems.check("its models", record_problems.model_problems, cell)
+    problems.check("scores of training views", record_problems.train_score_problems, record)
     if rows is not None:
         problems.check(f"means of {VIEWS_FILE}", mean_problems, record, rows)
     if cameras is None:
         return problems.all
-    problems.check("the number of views", facts.view_problems, record, cameras)
+    problems.check("the number of views", record_problems.view_problems, record, cameras)
     problems.check("its pictures", picture_problems, set(cell.files()), list(cell.test_cameras))
     if rows is not None:
-        problems.check(f"rows of {VIEWS_FILE}", facts.row_problems, rows, cell.test_cameras)
+        problems.check(f"rows of {VIEWS_FILE}", record_problems.row_problems, rows, cell.test_cameras)
     depths = check_renders(cell, problems)
     problems.check("its masks", mask_problems, cell)
     problems.check("scores", score_problems, cell, rows, depths, weights)

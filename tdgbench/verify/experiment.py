@@ -15,8 +15,8 @@ from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 from tdgbench.verify.cell import read_cell, verify_cell
-from tdgbench.verify.facts import place_problems
 from tdgbench.verify.problems import NotCheckedError, Problems
+from tdgbench.verify.record_problems import place_problems
 from tdgbench.verify.truth import data_problems, true_data
 
 MOST_SHOWN = 500  # problems on the terminal

@@ -14,7 +14,7 @@ from tdgbench.scoring import backbones
 from tdgbench.scoring.backbones import TrunkSpec
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.long_table import protocol_notes
-from tdgbench.verify.facts import key_problems
+from tdgbench.verify.record_problems import key_problems
 from tests.helpers.configs import config
 from tests.helpers.records import record, write
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tdgbench.verify import main, verify
-from tdgbench.verify.facts import field_problems
+from tdgbench.verify.record_problems import field_problems
 
 CELL = Path("cells/tdg/synthetic/turntable/colmap/seed0")
 
