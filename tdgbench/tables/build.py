@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import pandas as pd
@@ -66,7 +66,7 @@ class Tables:
     def folder(self) -> Path:
         return self.results.tables
 
-    @property
+    @cached_property
     def grid(self) -> Grid:
         """The main table as readers see it."""
         if self.is_ablation:

@@ -83,10 +83,8 @@ def cell_rows(records: Iterable[Record], plan: Plan, init: str | None = None) ->
 
 def scene_rows(cells: pd.DataFrame) -> pd.DataFrame:
     """Return rows (KEYS, value, reason): means over the seeds of `cell_rows`; n/a if any seed lacks the number."""
-    of_seeds = cells.groupby(KEYS, sort=False)
-    means = of_seeds["value"].agg(lambda values: values.mean(skipna=False))
-    reasons = of_seeds["reason"].agg(lambda texts: next((text for text in texts if text), ""))
-    return pd.concat([means, reasons], axis=1).reset_index()
+    rows = _means(cells, KEYS)
+    return rows.merge(_first_reasons(cells, KEYS), on=KEYS, how="left").fillna({"reason": ""})
 
 
 def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
@@ -141,16 +139,22 @@ def initial_points(ablation: pd.DataFrame) -> list[str]:
 
 def _averages(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
     """Return an average over the scenes of each group of rows, and why it is n/a."""
+    lacking = rows.assign(missing=rows["value"].isna()).groupby(over, sort=False)["missing"].agg(["sum", "size"])
+    reasons = rows[rows["value"].isna() & (rows["reason"] != "")].groupby(over, sort=False)["reason"]
+    known = _means(rows, over).set_index(over).join([lacking, reasons.agg(one="first", count="nunique")])
+    several = known["sum"].astype(str) + " of " + known["size"].astype(str) + " scenes are n/a"
+    known["reason"] = known["one"].where(known["count"] == 1, several).where(known["sum"] > 0, "")
+    return known[["value", "reason"]].reset_index().assign(group="")
 
-    def average(group: pd.DataFrame) -> pd.Series:
-        missing = int(group["value"].isna().sum())
-        reasons = set(group["reason"]) - {""}
-        why = reasons.pop() if len(reasons) == 1 else f"{missing} of {len(group)} scenes are n/a"
-        return pd.Series({"value": group["value"].mean(skipna=False), "reason": why if missing else "", "group": ""})
 
-    if rows.empty:
-        return rows.iloc[:0]
-    return rows.groupby(over, sort=False)[["value", "reason"]].apply(average).reset_index()
+def _means(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
+    """Return the mean value of each group of rows; NaN if any is."""
+    return rows.groupby(over, sort=False)["value"].agg(lambda values: values.to_numpy().mean()).reset_index()
+
+
+def _first_reasons(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
+    """Return the first reason of each group of rows that has one."""
+    return rows[rows["reason"] != ""].groupby(over, sort=False)["reason"].first().reset_index()
 
 
 def _scenes(records: list[Record], plan: Plan) -> list[Description]:

@@ -11,7 +11,7 @@ from scipy.special import stdtrit
 
 from tdgbench.cells.record import Record
 from tdgbench.tables import methods
-from tdgbench.tables.long_table import method_label, with_averages
+from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OF_RECORDS, OVERALL, TRAINING, gain
 from tdgbench.tables.methods import MethodPair
 from tdgbench.tables.palette import COLUMN, values_over_scenes
@@ -47,13 +47,12 @@ def over_seeds(cells: pd.DataFrame) -> pd.DataFrame:
     An average counts the seeds that all of its scenes have.
     """
     by_seed = cells.groupby([*KEYS, "seed"], sort=False)["value"].mean().unstack("seed")
-    rows = cells[KEYS].drop_duplicates()
-    by_seed = by_seed.reindex(pd.MultiIndex.from_frame(rows))
-    parts = [with_averages(rows.assign(value=by_seed[seed].to_numpy(), reason="")) for seed in by_seed]
-    if not parts:
-        return pd.DataFrame(columns=[*KEYS, "seeds", "std"])
-    grouped = pd.concat(parts, ignore_index=True).groupby(KEYS, sort=False)["value"]
-    return grouped.agg(seeds="count", std="std").reset_index()
+    by_seed = by_seed.reindex(pd.MultiIndex.from_frame(cells[KEYS].drop_duplicates()))
+    parts = [by_seed.reset_index(), _averages(by_seed, ["method", "dataset", "metric"]).assign(group="", scene=AVERAGE),
+             _averages(by_seed, ["method", "metric"]).assign(dataset="", group="", scene=OVERALL)]  # fmt: skip
+    table = pd.concat(parts, ignore_index=True)
+    seeds = table[list(by_seed)]
+    return table[KEYS].assign(seeds=seeds.count(axis=1), std=seeds.std(axis=1))
 
 
 def intervals(cells: Iterable[Cell]) -> pd.DataFrame:
@@ -68,7 +67,7 @@ def intervals(cells: Iterable[Cell]) -> pd.DataFrame:
         columns=[*KEYS, "cell", "values"],
     )
     if numbers.empty:
-        return pd.DataFrame(columns=[*KEYS, "ci95_low", "ci95_high"])
+        return pd.DataFrame(columns=[*KEYS, "ci95_low", "ci95_high"]).astype({"ci95_low": float, "ci95_high": float})
     seeds = numbers.groupby(KEYS[:4], sort=False)["cell"].transform("nunique")
     of_all_seeds = numbers[numbers.groupby(KEYS, sort=False)["cell"].transform("count") == seeds]
     means = {key: _replicates(list(group), rng) for key, group in of_all_seeds.groupby(KEYS, sort=False)["values"]}
@@ -92,7 +91,7 @@ def _values(cell: Cell) -> dict[str, np.ndarray]:
     numbers = {one.name: np.array([one.of_record(cell.record)]) for one in OF_RECORDS if one.in_main_table}
     views = cell.views  # None: `read_results` reports it
     if views is not None and len(views):
-        numbers |= {str(metric): views[metric].to_numpy() for metric in views if views[metric].notna().all()}
+        numbers |= {str(metric): values.to_numpy() for metric, values in views.dropna(axis=1).items()}
     return numbers
 
 
@@ -104,12 +103,13 @@ def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray
     return np.take_along_axis(means, chosen[None], axis=0)[0].mean(axis=1)
 
 
-def _averages(drawn: pd.DataFrame, over: list[str]) -> pd.DataFrame:
-    """Return the mean replicates (columns) over the scenes of each group of rows."""
-    if drawn.empty:
+def _averages(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
+    """Return the mean of each column over the scenes of each group of rows; NaN if any is."""
+    if rows.empty:
         return pd.DataFrame(columns=over)
-    of_scenes = drawn.groupby(level=over, sort=False)
-    return of_scenes.apply(lambda rows: pd.Series(rows.to_numpy().mean(axis=0), rows.columns)).reset_index()
+    groups = {key: group.to_numpy().T.copy().mean(axis=1) for key, group in rows.groupby(level=over, sort=False)}
+    index = pd.MultiIndex.from_tuples(groups, names=over)
+    return pd.DataFrame(list(groups.values()), index, rows.columns).reset_index()
 
 
 class MethodComparison(NamedTuple):
@@ -131,7 +131,7 @@ def speed_ratios(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
     hours = main[main["metric"] == HOURS.name]
     wide = hours.pivot_table(index=["dataset", "group", "scene"], columns="method", values="value", sort=False)
     if not set(pair) <= set(wide):
-        return pd.DataFrame(columns=["dataset", "group", "scene", "ratio"])
+        return pd.DataFrame(columns=["dataset", "group", "scene", "ratio"]).astype({"ratio": float})
     return (wide[pair.method] / wide[pair.baseline]).rename("ratio").reset_index()
 
 
