@@ -12,7 +12,7 @@ from tdgbench.cells.paths import CAMERAS_FILE
 from tdgbench.cells.read_files import MAX_CAMERAS, MOST_PIXELS, read_text
 from tdgbench.files import write_text
 from tdgbench.scenes import Camera, Scene, SceneError
-from tdgbench.scenes.validate import check_camera
+from tdgbench.scenes.camera import check_camera
 from tdgbench.text import shortened
 
 Cameras = dict[str, dict[str, Camera]]  # by part, `train` or `test`, and view

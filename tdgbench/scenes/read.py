@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tdgbench.scenes.camera import Camera
+from tdgbench.scenes.camera import Camera, check_camera
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats import Header, header
@@ -24,7 +24,6 @@ from tdgbench.scenes.options import Description, ReadOptions, split_names
 from tdgbench.scenes.registry import sensor_of
 from tdgbench.scenes.scene import Scene, View, read_map
 from tdgbench.scenes.thermal import ThermalRequest, thermal_images
-from tdgbench.scenes.validate import check_camera
 from tdgbench.scenes.view_images import ImageSource, Mask, ThermalImages, native_camera, resample
 from tdgbench.text import first_few
 

@@ -17,7 +17,7 @@ import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from tdgbench.scenes.validate import MAX_COORDINATE
+from tdgbench.scenes.camera import MAX_COORDINATE
 
 MAX_CLIENTS = 64
 MAX_FRAME = 2**16  # bytes; a page's messages have some 300

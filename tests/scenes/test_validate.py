@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import Camera, SceneError
-from tdgbench.scenes.validate import MAX_COORDINATE, check_camera
+from tdgbench.scenes.camera import MAX_COORDINATE, check_camera
 
 
 def camera(**changes) -> Camera:

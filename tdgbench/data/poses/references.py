@@ -12,6 +12,7 @@ import numpy as np
 from tdgbench.data.poses.metashape import lenses, read_chunk, read_xml, table_poses
 from tdgbench.data.poses.opensfm import model_points, shot_lenses, shot_poses
 from tdgbench.scenes import PointCloud
+from tdgbench.scenes.camera import check_pose
 from tdgbench.scenes.colmap import RegisteredImage, read_model
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
@@ -19,7 +20,6 @@ from tdgbench.scenes.inputs import decoding, is_folder, is_there, read_json, reg
 from tdgbench.scenes.layouts import detect
 from tdgbench.scenes.layouts.transforms import read_points, read_transforms, where_they_are
 from tdgbench.scenes.names import key, view_names
-from tdgbench.scenes.validate import check_pose
 
 READ = "a scene, a COLMAP model, transforms.json, reconstruction.json, or Metashape's .xml, chunk.zip, .txt"
 

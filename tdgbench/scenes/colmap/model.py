@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pycolmap
 
-from tdgbench.scenes.camera import Camera
+from tdgbench.scenes.camera import MAX_COORDINATE, Camera, check_camera
 from tdgbench.scenes.colmap import binary, text
 from tdgbench.scenes.colmap.pinhole import Undistortion, to_pinhole
 from tdgbench.scenes.colmap.tables import REMEDY, CameraEntry, DamagedModelError, ImageEntry, Points
@@ -18,7 +18,6 @@ from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.names import key, of_modality, view_names
 from tdgbench.scenes.scene import PointCloud, Tracks
-from tdgbench.scenes.validate import MAX_COORDINATE, check_camera
 
 FORMATS = {".bin": binary, ".txt": text}  # in pycolmap's order of preference
 NEEDED = ("cameras", "images", "points3D")

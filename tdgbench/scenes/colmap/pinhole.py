@@ -8,10 +8,9 @@ import numpy as np
 import pycolmap
 from scipy.ndimage import map_coordinates
 
-from tdgbench.scenes.camera import Camera
+from tdgbench.scenes.camera import Camera, check_intrinsics, check_size
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.validate import check_intrinsics, check_size
 
 PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 MIN_SANE = 0.9  # share of a pinhole's pixels that must lie inside the distorted image, and in the same order

@@ -10,9 +10,9 @@ from typing import BinaryIO, Literal, NamedTuple
 
 import numpy as np
 
+from tdgbench.scenes.camera import MAX_PIXELS
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.temperature import CountScale
-from tdgbench.scenes.validate import MAX_PIXELS
 
 HEAD = 64  # bytes by which containers are told apart
 NO_SCALE = CountScale()

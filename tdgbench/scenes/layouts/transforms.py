@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, PlainValidator, ValidationError
 
 from tdgbench.ply import read_ply
-from tdgbench.scenes.camera import Camera, pose_at
+from tdgbench.scenes.camera import MAX_COORDINATE, Camera, check_camera, check_pose, pose_at
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.colmap.pinhole import to_pinhole
 from tdgbench.scenes.colmap.tables import CameraEntry
@@ -29,7 +29,6 @@ from tdgbench.scenes.formats import SUFFIXES, header
 from tdgbench.scenes.inputs import decoding, is_there, read_bytes, read_json
 from tdgbench.scenes.names import key, pair, view_names
 from tdgbench.scenes.scene import PointCloud
-from tdgbench.scenes.validate import MAX_COORDINATE, check_camera, check_pose
 from tdgbench.text import shortened
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])  # axes of a camera
