@@ -5,17 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hydra.utils import instantiate
-from PIL import Image
 
 from tdgbench.bench.scores import render_views, score_training_views, write_renders
-from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.ground_truth import masked_in_words, masked_share
 from tdgbench.priors import PriorError
 from tdgbench.scenes import SceneError
 from tdgbench.training.loop import train
 from tests.helpers.configs import config
 from tests.helpers.masks import masked_scene, with_garbage
-from tests.helpers.records import record
 from tests.helpers.training import digest, ready_to_train
 
 OFTEN = ("budget.density.start=20", "budget.density.every=20", "budget.sh_every=25")
@@ -114,16 +111,3 @@ def test_shares_and_words(small_gray_scene):
     assert masked_in_words({"train": 0.0, "test": 0.25}).startswith(
         "0.0 % of the training and 25.0 % of the test pixels"
     )
-
-
-def test_masks_on_disk(small_gray_scene, tmp_path):
-    valid = np.random.default_rng(0).random((36, 48)) < 0.5
-    cell = CellFolder(tmp_path, record())
-    (tmp_path / "masks").mkdir()
-    Image.fromarray(np.uint8(255) * valid).save(tmp_path / "masks" / "a.b.png")
-    assert cell.has("masks", "a.b") and not cell.has("masks", "a")
-    assert np.array_equal(cell.mask("a.b", (48, 36)), valid)
-    with pytest.raises(ValueError, match=r"masks/a\.b\.png cannot be read: .*it is 48×36 px, its camera 36×48 px"):
-        cell.mask("a.b", (36, 48))
-    with pytest.raises(ValueError, match=r"masks/b\.png is missing"):
-        cell.mask("b")

@@ -57,8 +57,6 @@ DAMAGES = {
     "no record": (lambda cell: (cell / "record.json").unlink(), "holds no record"),
     "broken record": (lambda cell: (cell / "record.json").write_text("{"), "is not a record"),
     "model changed": (lambda cell: (cell / "model.ply").write_bytes(b"ply"), "is damaged: model.ply has changed"),
-    "model missing": (lambda cell: (cell / "model.ply").unlink(), "is damaged: model.ply is missing"),
-    "picture changed": (lambda c: next((c / "targets").iterdir()).write_bytes(b""), "is damaged: targets/"),
     "foreign file": (lambda cell: (cell / "x").write_text(""), "is damaged: x is not in the record"),
     "model FIFO": (
         lambda cell: [(cell / "model.ply").unlink(), os.mkfifo(cell / "model.ply")], "is damaged: model.ply cannot"),

@@ -6,8 +6,9 @@ import pytest
 
 from tdgbench.bench.backend_check import check as checking
 from tdgbench.bench.backend_check.check import check, scenes
-from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE, expected
-from tdgbench.splats.backends import ON_GPU
+from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE, cloud, expected, render
+from tdgbench.splats.backends import ON_GPU, cpu
+from tdgbench.splats.blending import AS_3DGS, Blending
 from tests.helpers.backends import NotFinite, Raises, StandIn, Unsteady, WrongGradient, WrongValue, need, register
 
 
@@ -49,34 +50,31 @@ def test_the_cpu_passes():
     assert not verdict.reason and verdict.spread == 0 and verdict.seconds > 0
 
 
-def test_a_wrong_value_is_refused(verdict_on, one_scene):
-    verdict = verdict_on(WrongValue())
-    assert verdict.reason.startswith("image of the scene 'gray, harmonics of degree 3' is wrong by ")
-    assert verdict.reason.endswith("allowed is 5e-05") and verdict.image > IMAGE_TOLERANCE
+def with_error(error: Exception) -> Raises:
+    backend = Raises()
+    backend.error = error
+    return backend
 
 
-def test_a_wrong_gradient_is_refused(verdict_on, one_scene):
+REFUSED = {
+    "wrong value": (WrongValue(), "image of the scene 'gray, harmonics of degree 3' is wrong by ", "allowed is 5e-05"),
+    "wrong gradient": (WrongGradient(), "gradients of the scene 'gray", "allowed is 0.0002"),
+    "NaN": (NotFinite(), "image of the scene", "is not finite"),
+    "error": (with_error(AssertionError("torch.Size([120, 16])")), "AssertionError: ", "torch.Size([120, 16])"),
+    "no memory": (Raises(), "OutOfMemoryError: CUDA out of memory. Tried to allocate 2.00 MiB.", ""),
+}
+
+
+@pytest.mark.parametrize(("backend", "start", "end"), REFUSED.values(), ids=REFUSED)
+def test_a_backend_that_is_wrong_is_refused_with_the_reason(verdict_on, one_scene, backend, start, end):
+    reason = verdict_on(backend).reason
+    assert reason.startswith(start) and reason.endswith(end) and "\n" not in reason
+
+
+def test_errors_are_told(verdict_on, one_scene):
+    assert verdict_on(WrongValue()).image > IMAGE_TOLERANCE and math.isnan(verdict_on(NotFinite()).image)
     verdict = verdict_on(WrongGradient())
-    assert "gradients of the scene" in verdict.reason and "are wrong by" in verdict.reason
     assert verdict.image < IMAGE_TOLERANCE and 0.009 < verdict.gradients < 0.011
-
-
-def test_values_that_are_not_finite_are_refused(verdict_on, one_scene):
-    verdict = verdict_on(NotFinite())
-    assert verdict.reason.endswith("is not finite") and math.isnan(verdict.image)
-
-
-def test_an_error_is_a_reason_of_one_line(verdict_on, one_scene):
-    broken = Raises()
-    broken.error = AssertionError("torch.Size([120, 16, 1])")
-    verdict = verdict_on(broken)
-    assert verdict.reason == "AssertionError: torch.Size([120, 16, 1])"
-
-
-def test_no_memory_is_a_reason(verdict_on, one_scene):
-    verdict = verdict_on(Raises())
-    assert verdict.reason.startswith("OutOfMemoryError: CUDA out of memory. Tried to allocate 2.00 MiB.")
-    assert "\n" not in verdict.reason
 
 
 def test_what_is_not_deterministic_is_told_and_not_refused(verdict_on, one_scene):
@@ -90,6 +88,26 @@ def test_what_is_not_deterministic_beyond_the_tolerance_is_refused(verdict_on, o
     backend.renders = 1
     verdict = verdict_on(backend)
     assert verdict.reason.startswith("image") and backend.renders == 3
+
+
+def image_error() -> float:
+    scene = cloud(30)
+    want = expected(scene, "cpu")
+    return want.errors(render(scene, "cpu", want.weights)).image
+
+
+def test_a_backend_with_constants_of_its_own_is_compared_with_these(monkeypatch):
+    """It is asked for the default ones, as gsplat is, and nevertheless blends with its own."""
+    own, asked, original = Blending(max_alpha=0.5), [], cpu.CpuBackend.render
+
+    def with_its_own(self, gaussians, camera, options):
+        asked.append(options.blending)
+        return original(self, gaussians, camera, options._replace(blending=own))
+
+    monkeypatch.setattr(cpu.CpuBackend, "render", with_its_own)
+    assert image_error() > 0.01
+    monkeypatch.setattr(cpu.CpuBackend, "constants", lambda self, packages=None: own)
+    assert image_error() < 1e-6 and set(asked) == {AS_3DGS}
 
 
 @pytest.mark.cuda
