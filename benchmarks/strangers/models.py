@@ -27,13 +27,7 @@ MB = 2**20
 CHECKPOINT = "benchmarks.strangers.checkpoints:read_checkpoint"
 PNG = b"\x89PNG\r\n\x1a\n"
 PICTURES = ("renders", "targets", "masks", "determinacy", "renders_rgb")
-MORE_CHUNKS = (
-    (b"", b""),
-    (b"zTXt", b""),
-    (b"iCCP", b""),
-    (b"acTL", b"\x7f" * 8),
-    (b"eXIf", b"II*\0" * 9),
-)
+MORE_CHUNKS = ((b"", b""), (b"zTXt", b""), (b"iCCP", b""), (b"acTL", b"\x7f" * 8), (b"eXIf", b"II*\0" * 9))
 OTHER_FORMATS = {
     "GIF": b"GIF89a\xff\xff\xff\xff\0\0\0,", "EPS": b"%!PS-Adobe-3.0 EPSF\n(x) run\n", 
     "TIFF": b"II*\0\x08\0\0\0\xff\xff",

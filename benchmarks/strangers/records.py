@@ -26,37 +26,12 @@ SETTINGS = (
     ("thermal_camera", "rig"), ("metrics", "convention"), ("metrics", "ssim_border"), ("metrics", "lpips", "net"),
 )  # fmt: skip
 FIELDS = (
-    "",
-    "n/a",
-    "nan",
-    "inf",
-    "-1",
-    "1e999",
-    "1" * 5000,
-    "x" * 200_000,
-    '"',
-    "=1+1",
-    "\0",
-    "1_0",
-    "٣",
-    " 1",
-    "1,1",
-    "\r",
+    "", "n/a", "nan", "inf", "-1", "1e999", "1" * 5000, "x" * 200_000, '"', "=1+1", "\0", "1_0", "٣", " 1", "1,1", "\r",
     "view000",
-)
+)  # fmt: skip
 NAMES_OF_VIEWS = (
-    "../../record",
-    "/etc/passwd",
-    ".",
-    "",
-    "a/b",
-    "a\0b",
-    "x" * 300,
-    "\x1b[2J",
-    "con",
-    "view000.png",
-    "../x",
-)
+    "../../record", "/etc/passwd", ".", "", "a/b", "a\0b", "x" * 300, "\x1b[2J", "con", "view000.png", "../x",
+)  # fmt: skip
 
 
 def fitting(pack: Files, cell: str, changed: Mapping[str, bytes | None]) -> Files:

@@ -53,7 +53,10 @@ class ExperimentCallback(Callback):
 
 
 def _check_sweep(config: DictConfig, experiment: Experiment) -> None:
-    """Raise OptionError for a sweep over nothing, or options of which it has one: others would look like methods."""
+    """Raise OptionError for a sweep over an empty list, or over an option that must have one value.
+
+    Cells that differ in such an option would stand in the tables as if their methods differed.
+    """
     problems = [
         Problem(option, "matches nothing; glob(...) takes names of methods, data sets and other files in conf/")
         for option in swept_over_nothing(config)

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BaseModel, Field, PositiveFloat
 
-from tdgbench.bench.record_of_run import state_assumptions, state_values
 from tdgbench.bench.options import OptionError
+from tdgbench.bench.record_of_run import state_assumptions, state_values
 from tdgbench.bench.scores import score_views
 from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.bench.signature import Problem

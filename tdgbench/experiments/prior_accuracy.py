@@ -5,8 +5,8 @@ Network"). Scale and shift are fitted by least squares per view: of disparities 
 section 5), of affine-invariant depths to z as for Marigold (Ke et al. 2024, section 4). Metric depths are scaled by the
 ratio of medians (Zhou et al. 2017), since the unit of a COLMAP model is arbitrary.
 
-Known is the true depth of synthetic scenes, else that of every second sparse point of structure from motion. A prior
-that is made from points gets the others: none is judged by what it was made from.
+A synthetic scene's depth is known at each pixel. Of another scene, the depth of every second sparse point of structure
+from motion counts as known; a prior that is made from points gets the other half, so that it is not judged by its own.
 """
 
 from __future__ import annotations

@@ -5,13 +5,7 @@ import pytest
 
 from tdgbench.bench.options import OptionError
 from tdgbench.experiments import error_time
-from tdgbench.experiments.error_time import (
-    ErrorTime,
-    faster_by,
-    runs_of,
-    sample_all,
-    sample_curve,
-)
+from tdgbench.experiments.error_time import ErrorTime, faster_by, runs_of, sample_all, sample_curve
 from tdgbench.thermal import ImageResponse
 from tests.helpers.configs import SMALL, config
 

@@ -16,7 +16,7 @@ from benchmarks.strangers.sweep import STRATEGIES
 from tests.strangers import rogue
 from tests.strangers.past import PAST
 
-CASES = {"zip": 16, "record": 18, "table": 16, "ply": 14, "pickle": 12, "picture": 10, "scene": 14}  # 100
+CASES = {"zip": 8, "record": 10, "table": 8, "ply": 8, "pickle": 6, "picture": 5, "scene": 8}
 
 
 class Reader(NamedTuple):

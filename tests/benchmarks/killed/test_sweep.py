@@ -60,5 +60,6 @@ def test_killed_and_resumed(tmp_path):
     words = [word for word in SMALL if not word.startswith(("method=", "scene="))]
     sweep = Sweep([*words, "method=tdg", "scene=turntable"], "single", tmp_path)
     calm = sweep.run_calm(warm_up=False)
-    kills = kill_many(sweep, calm._replace(seconds=0.8 * calm.seconds), Plan(3, full_disk=0.4, seed=4))
-    assert [kill.problems for kill in kills] == [[], [], []], kills
+    kills = kill_many(sweep, calm._replace(seconds=0.8 * calm.seconds), Plan(2, full_disk=0.4, seed=4))
+    assert [kill.problems for kill in kills] == [[], []], kills
+    assert [kill.how for kill in kills] == ["full disk", "SIGKILL"]
