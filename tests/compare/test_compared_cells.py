@@ -58,11 +58,6 @@ def test_the_spread_of_a_repeat_is_not_that_of_seeds(tmp_path):
     assert np.isnan(psnr_row(a, b, are_repeats=False)["repeat_std"])
 
 
-def test_one_seed_has_no_interval(tmp_path):
-    row = psnr_row(*two_experiments(tmp_path, [20.0], [20.1]))
-    assert row["verdict"] == "undecided" and np.isnan(row["ci90_low"])
-
-
 def test_cells_of_one_experiment_alone_are_named(tmp_path, capsys):
     a, b = two_experiments(tmp_path, [20.0, 21.0], [20.0])
     write(b, scene="Lion")

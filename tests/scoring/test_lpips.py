@@ -81,11 +81,6 @@ def test_the_network_is_on_the_cpu(tmp_path, monkeypatch):
     assert len(list(model.heads)) == len(SPECS["alex"].ends)
 
 
-def test_unknown_net():
-    with pytest.raises(ValueError, match="net is 'resnet'"):
-        LPIPS("resnet", "unit")
-
-
 @pytest.mark.parametrize("net", SPECS)
 def test_images_too_small_for_a_network_have_no_lpips(net, monkeypatch):
     monkeypatch.setattr("tdgbench.scoring.lpips.trunk_weights", lambda *of: random_state(net))

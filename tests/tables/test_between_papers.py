@@ -8,13 +8,11 @@ import pytest
 from tdgbench.tables.between_papers import (
     FOLLOWS,
     OFF,
-    PLACE,
     SHARED,
     UNKNOWN,
     between_papers,
     check_averages,
     gain_against_spread,
-    with_other_papers,
 )
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.published import published_elsewhere, published_main
@@ -41,18 +39,6 @@ def test_averages_are_compared_over_shared_scenes_only():
     assert row["scenes"] == len(scenes) == 7
     msmg = published_main().query("method == 'msmg' and metric == 'psnr'").set_index("scene")["value"]
     assert row["low"] == pytest.approx(msmg[scenes["scene"]].mean())
-
-
-def test_others_stand_beside_published_numbers():
-    found = with_other_papers(published_main()).set_index(PLACE)
-    row = found.loc[("msmg", "RGBT-Scenes", "Parterre", "psnr")]
-    assert (row["others_low"], row["others_high"], row["papers"]) == (26.16, 26.16, 2)
-    for alone in (("tdg", "RGBT-Scenes", "Parterre", "psnr"), ("msmg", "RGBT-Scenes", "Average", "psnr"),
-                  ("msmg", "RGBT-Scenes", "Parterre", "train_hours")):  # fmt: skip
-        assert found.loc[alone, "papers"] == 1 and pd.isna(found.loc[alone, "others_low"])
-    assert len(found) == len(published_main())
-    ablation = pd.DataFrame({"method": ["msmg"], "init": ["colmap"], "metric": ["psnr"]})
-    assert with_other_papers(ablation)["papers"].tolist() == [1]
 
 
 def test_the_papers_gains_against_the_spread():

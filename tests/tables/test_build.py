@@ -19,13 +19,12 @@ from tests.helpers.paths import ROOT
 from tests.helpers.records import published_as_records, write, write_ablation
 
 
-def test_the_published_numbers_give_the_published_table(tmp_path):
-    published_as_records(tmp_path)
-    tables = build_tables(tmp_path)
+def test_the_published_numbers_give_the_published_table(published_tables):
+    tables = published_tables
     found = tables.difference[~tables.difference["scene"].str.contains("Average")]
     assert found["difference"].abs().max() < 1e-9
     assert tables.difference["difference"].abs().max() < 0.006  # averages: rounding
-    written = pd.read_csv(tmp_path / "tables" / "main.csv", keep_default_na=False)
+    written = pd.read_csv(tables.folder / "main.csv", keep_default_na=False)
     assert f"\n{','.join(written.columns)}\n" in (ROOT / "docs" / "report.md").read_text(encoding="utf-8")
     paper = published_main()
     merged = written[written["metric"].isin(paper["metric"].unique())].merge(paper, on=KEYS, suffixes=("", "_paper"))

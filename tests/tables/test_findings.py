@@ -12,14 +12,13 @@ from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
 from tdgbench.tables.findings import claims_in_words, published
-from tests.helpers.records import published_as_records, write, write_ablation
+from tests.helpers.records import write, write_ablation
 
 PAPER = [Description(s.name, DATASETS[s.dataset], s.group) for s in SCENES]
 
 
-def test_the_published_table_in_words(tmp_path):
-    published_as_records(tmp_path)
-    found = build_tables(tmp_path).findings
+def test_the_published_table_in_words(published_tables):
+    found = published_tables.findings
     assert found[0].startswith("TDg is better than MSMG on 10 of 14 scenes in PSNR (p = 0.045), 8 of 14 in SSIM (p = ")
     assert "14 of 14 in time (p < 0.001)" in found[0]
     assert found[0].endswith("; p: Wilcoxon's signed-rank test over the scenes")
@@ -27,7 +26,7 @@ def test_the_published_table_in_words(tmp_path):
     assert found[1].endswith("time 0:10:34 against 0:23:21")
     assert found[2].endswith("14 of 14 scenes agree within 10 %")
     assert found[3:] == ["0 of 102 published scores reproduced, 102 undecided: run `seed=0,1,2`"]
-    assert (tmp_path / "tables" / "findings.txt").read_text(encoding="utf-8").splitlines() == found
+    assert (published_tables.folder / "findings.txt").read_text(encoding="utf-8").splitlines() == found
 
 
 def test_they_count_what_the_tables_say(tmp_path):

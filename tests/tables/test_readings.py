@@ -51,11 +51,6 @@ def test_hours_and_gaussians_are_compared_by_ratio():
     assert fewer["change"] == pytest.approx(-1.65)
 
 
-def test_one_seed_has_no_interval():
-    table = effects(reading_cells([CELLS[0], CELLS[2]]))
-    assert np.isnan(row(table, effect="depth, as written", metric="psnr")["ci95_low"])
-
-
 def test_averages_are_over_scenes_that_all_have():
     more = [record(m, 3000, p, scene="night") for m, p in (("tdg", 20.5), ("3dgs_smooth", 20.0), ("msmg", 21.0))]
     short = record("tdg", 1000, 19.0, scene="night")

@@ -8,7 +8,6 @@ from tdgbench.tables.claims.cell_pairs import (
     Interval,
     Side,
     all_of,
-    counts_in_words,
     gain_interval,
     judge_gain,
     make_pairs,
@@ -71,13 +70,6 @@ def test_with_one_scene_the_interval_is_over_its_seeds():
     gains = [1.0, 2.0, 4.0]
     low, high = stats.t.interval(0.95, 2, np.mean(gains), stats.sem(gains))
     assert gain_interval([("d", "a")] * 3, gains) == pytest.approx((np.mean(gains), low, high, 3, 1))
-
-
-def test_one_pair_decides_nothing():
-    found = gain_interval([("d", "a")], [5.0])
-    assert found == pytest.approx((5.0, np.nan, np.nan, 1, 1), nan_ok=True)
-    assert judge_gain(found, 0.0) == UNDECIDED
-    assert counts_in_words(found) == "one pair has no interval; 1 pair in 1 scene"
 
 
 @pytest.mark.parametrize(
