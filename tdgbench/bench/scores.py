@@ -84,7 +84,7 @@ def render_images(
         raise TypeError(f"{method.name}.render gives no depth; a method must render depth with the image")
     image = render.image.numpy()
     rendered = {name: method.render(frame, name).cpu().image.numpy() for name in others if name in method.modalities}
-    return RenderedImages(response.of(image, view.name), depth_of(render), rendered, response.temperatures(image))
+    return RenderedImages(response.shown(image, view.name), depth_of(render), rendered, response.temperatures(image))
 
 
 def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:

@@ -252,7 +252,7 @@ class CellFolder:
             render = render_from(name)
             image = render.image.numpy()
             found[name] = RenderedImages(
-                response.of(image, name), depth_of(render), without_response=response.temperatures(image),
+                response.shown(image, name), depth_of(render), without_response=response.temperatures(image),
                 determinacy=known.image(camera).numpy(),
             )  # fmt: skip
         return found

@@ -69,7 +69,7 @@ def _estimate(scene: Scene, seen: PointSamples) -> ThermalCamera:
     (name, scale, zero), train = units(scene), scene.train
     data = replace(seen, value=scale * seen.value + zero, slope=scale * seen.slope)
     counts = np.bincount(seen.view, minlength=len(train))
-    stds = ExpectedErrors.of(name, float(np.std(data.value)) or 1.0)
+    stds = ExpectedErrors.in_unit(name, float(np.std(data.value)) or 1.0)
     place = sequence_positions([view.name for view in scene.views])
     at = np.array([place[view.name] for view in train])
     fitted, terms, drift = fit_selected_terms(data, stds, at)

@@ -50,7 +50,7 @@ class ExpectedErrors(NamedTuple):
     vignette: float
 
     @classmethod
-    def of(cls, unit: str, spread: float) -> ExpectedErrors:
+    def in_unit(cls, unit: str, spread: float) -> ExpectedErrors:
         """Return them for a unit. spread: standard deviation of the scene's values.
 
         In °C: uncooled cameras are off by up to ±5 °C in a flight (Kelly et al. 2019), and exact to some 5 % (FLIR

@@ -41,7 +41,7 @@ class ImageResponse:
             return render
         return np.asarray(self.low + (self.high - self.low) * render, np.float32)
 
-    def of(self, render: np.ndarray, view: str) -> np.ndarray:
+    def shown(self, render: np.ndarray, view: str) -> np.ndarray:
         """Return the image (H, W, C) float32 of a render of a view by this camera, not clipped."""
         values = self.temperatures(render)
         if self.is_ideal:

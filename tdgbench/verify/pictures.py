@@ -94,7 +94,7 @@ def _render_problems(
     render = render_view(view)
     again = render.image.numpy()
     if modality == THERMAL:
-        again = response_of(record).of(again, view)
+        again = response_of(record).shown(again, view)
     if stored.shape != again.shape:
         yield f"{path} is {stored.shape}, the model gives {again.shape}"
         return

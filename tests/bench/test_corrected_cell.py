@@ -107,7 +107,7 @@ def test_renders_are_what_the_camera_shows_and_targets_are_untouched(results, ce
     scene, model = instantiate(results[0].dataset.loader).load("turntable"), load_ply(folder / "model.ply")
     for view in scene.test:
         render = render_model(model, view.camera, background=background_of(record, "thermal")).image.numpy()
-        shown = to_8bit(response_of(record).of(render, view.name))[..., 0]
+        shown = to_8bit(response_of(record).shown(render, view.name))[..., 0]
         stored = np.asarray(Image.open(folder / "renders" / f"{view.name}.png"))
         assert np.abs(stored.astype(int) - shown).max() <= 1
         assert np.abs(stored.astype(int) - to_8bit(render)[..., 0]).mean() > 1

@@ -10,7 +10,7 @@ from tdgbench.thermal.observations import PointSamples
 from tdgbench.thermal.select_terms import prior_precision
 
 SIZE = (64, 48)
-DEGC = ExpectedErrors.of("°C", 5.0)
+DEGC = ExpectedErrors.in_unit("°C", 5.0)
 NOWHERE = np.full(12, np.nan)  # positions of views that have no sequence
 CLUSTERS = 10
 

@@ -57,6 +57,6 @@ def test_no_drift_varies_more_than_cameras_do():
 
 
 def test_widths_of_images_without_temperatures_follow_their_contrast():
-    assert ExpectedErrors.of("°C", 5.0) == ExpectedErrors.of("°C", 0.1)
-    low, high = ExpectedErrors.of("image", 0.1), ExpectedErrors.of("image", 0.2)
+    assert ExpectedErrors.in_unit("°C", 5.0) == ExpectedErrors.in_unit("°C", 0.1)
+    low, high = ExpectedErrors.in_unit("image", 0.1), ExpectedErrors.in_unit("image", 0.2)
     assert (high.offsets, high.gains, high.vignette) == pytest.approx((2 * low.offsets, low.gains, 2 * low.vignette))

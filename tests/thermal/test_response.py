@@ -24,7 +24,7 @@ def test_what_was_corrected_is_shown_again(drifting_scene, drifting_camera, seed
     scene, response = corrected(drifting_scene, random_camera(drifting_camera, seed))
     assert (response.low, response.high) != (0, 1) and response.vignette
     for before, after in zip(drifting_scene.train, scene.train, strict=True):
-        shown = response.of(after.thermal, after.name)
+        shown = response.shown(after.thermal, after.name)
         assert shown.dtype == np.float32 and np.abs(shown - before.thermal).max() < 2e-6
 
 
@@ -38,14 +38,14 @@ def test_a_scene_without_temperatures_has_a_response_in_image_values(drifting_sc
     scene, response = corrected(given, small)
     assert scene.temperature is None and response.offsets[small.views[0]] == pytest.approx(small.offsets[0], abs=1e-6)
     view = scene.train[0]
-    assert np.abs(response.of(view.thermal, view.name) - drifting_scene.train[0].thermal).max() < 2e-6
+    assert np.abs(response.shown(view.thermal, view.name) - drifting_scene.train[0].thermal).max() < 2e-6
 
 
 def test_a_test_view_has_what_all_views_share_and_the_offset_that_is_expected(drifting_scene, drifting_camera):
     scene, response = corrected(drifting_scene, drifting_camera)
     name, given = scene.test[0].name, drifting_scene.temperature
     render = np.random.default_rng(0).random((72, 96, 1)).astype(np.float32)
-    degC, shown = celsius_of(render, scene.temperature), celsius_of(response.of(render, name), given)
+    degC, shown = celsius_of(render, scene.temperature), celsius_of(response.shown(render, name), given)
     added = drifting_camera.expected[name] + evaluate(drifting_camera.vignette, 96, 72)
     assert np.abs(shown - degC - added[..., None]).max() < 1e-4 and drifting_camera.expected[name] != 0
     assert celsius_of(response.temperatures(render), given) == pytest.approx(degC, abs=1e-4)
@@ -78,9 +78,9 @@ def test_a_record_holds_all_of_a_response(drifting_scene, drifting_camera):
 
 def test_an_ideal_camera_shows_renders_as_they_are():
     render = np.random.default_rng(0).random((4, 5, 3)).astype(np.float32)
-    assert ImageResponse().of(render, "any") is render and ImageResponse().is_ideal
+    assert ImageResponse().shown(render, "any") is render and ImageResponse().is_ideal
     wide = ImageResponse(low=-0.5, high=1.5)
-    assert wide.is_ideal and wide.of(render, "any") == pytest.approx(2 * render - 0.5)
+    assert wide.is_ideal and wide.shown(render, "any") == pytest.approx(2 * render - 0.5)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from tdgbench.scenes.inputs import is_there, read_bytes
 
 JPEG = (".jpg", ".jpeg")
 RAW = ".raw"  # of dji_irp: numbers, row by row, without a header
-APART = 2  # s, at most, between the times in the names of one shot's files
+SECONDS_OFF = 2  # s, at most, between the times in the names of one shot's files
 STAMPED = re.compile(r"(.*DJI_)(\d{14})(_\d{4})(.*)")
 LENS = re.compile(r"(.*DJI_(?:\d{14}_)?\d{4})_([TVWZ])")
 CELSIUS = "temp_c"
@@ -57,10 +57,10 @@ def shot_and_lens(name: str) -> tuple[str, str]:
     return (found[1], found[2]) if found else (name, "")
 
 
-def stamped_apart(thermal: Iterable[str], rgb: Iterable[str]) -> tuple[dict[str, str], dict[str, str]]:
+def paired_by_number(thermal: Iterable[str], rgb: Iterable[str]) -> tuple[dict[str, str], dict[str, str]]:
     """Return the RGB view of each thermal one, by names that differ in their time alone; and why others have none.
 
-    >>> stamped_apart(["DJI_20240806235959_0008"], ["DJI_20240807000000_0008", "DJI_20240806235959_0009"])
+    >>> paired_by_number(["DJI_20240806235959_0008"], ["DJI_20240807000000_0008", "DJI_20240806235959_0009"])
     ({'DJI_20240806235959_0008': 'DJI_20240807000000_0008'}, {})
     """
     shots: dict[tuple[str | Any, ...], tuple[list[str], list[str]]] = {}
@@ -70,7 +70,7 @@ def stamped_apart(thermal: Iterable[str], rgb: Iterable[str]) -> tuple[dict[str,
                 shots.setdefault(found.group(1, 3, 4), ([], []))[side].append(name)
     pairs, unclear = {}, {}
     for ours, theirs in shots.values():
-        near = [(one, other) for one in ours for other in theirs if abs(_seconds(one) - _seconds(other)) <= APART]
+        near = [(one, other) for one in ours for other in theirs if abs(_seconds(one) - _seconds(other)) <= SECONDS_OFF]
         for one, other in near:
             rivals = sorted({name for pair in near if one in pair or other in pair for name in pair})
             if len(rivals) == 2:

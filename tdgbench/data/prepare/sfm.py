@@ -27,7 +27,7 @@ CameraModel = Literal["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "O
 Matching = Literal["exhaustive", "sequential", "nearest"]
 CAMERA_MODELS: tuple[str, ...] = get_args(CameraModel)
 LARGE = 10  # images of a model whose focal length must agree with others, as of COLMAP's smallest models
-MOST_APART = 2  # times, of these focal lengths
+LARGEST_RATIO = 2  # times, of these focal lengths
 MOST_OFF = 1.15  # times, of the focal length and that of EXIF data
 FEWEST_IMAGES = 3  # of a model: two training views and a test view
 OVERLAP = 10  # neighbours that an image is matched with in sequential matching, as in COLMAP
@@ -233,7 +233,7 @@ def _check_focal_lengths(models: list[pycolmap.Reconstruction]) -> None:
     large = [model for model in models if model.num_reg_images() >= min(LARGE, models[0].num_reg_images())]
     cameras = [camera for model in large for camera in model.cameras.values()]
     focals, width = sorted(camera.mean_focal_length() for camera in cameras), cameras[0].width
-    if focals[0] < FOCALS[0] * width or focals[-1] > min(FOCALS[1] * width, MOST_APART * focals[0]):
+    if focals[0] < FOCALS[0] * width or focals[-1] > min(FOCALS[1] * width, LARGEST_RATIO * focals[0]):
         raise SceneError(
             f"COLMAP finds focal lengths of {', '.join(f'{focal:.0f}' for focal in focals)} px, as no lens has, in "
             f"images {width} px wide: views in one direction on a flat field do not settle it; say it: --focal PX"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from tdgbench.data.prepare.dji import CELSIUS, JPEG, RAW, computed_of, product, shot_and_lens, stamped_apart
+from tdgbench.data.prepare.dji import CELSIUS, JPEG, RAW, computed_of, paired_by_number, product, shot_and_lens
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.formats import SUFFIXES, header
 from tdgbench.scenes.inputs import check_view_name, is_folder, listed
@@ -117,7 +117,7 @@ def _matching(folder: Path, pattern: str) -> dict[str, Path]:
 def _pair(images: _Images, thermal_alone: bool, sources: Sources) -> None:
     """Add the views: files paired by name; a FLIR file without an RGB file brings its own photo."""
     thermal, rgb = images
-    by_number, unclear = stamped_apart(thermal.keys() - rgb.keys(), rgb.keys() - thermal.keys())
+    by_number, unclear = paired_by_number(thermal.keys() - rgb.keys(), rgb.keys() - thermal.keys())
     for view, path in thermal.items():
         photo = rgb.get(by_number.get(view, view))
         if photo is not None or thermal_alone or _may_hold_photo(path):

@@ -8,7 +8,7 @@ import pytest
 from PIL import ExifTags, Image
 
 from tdgbench.data.prepare.capture import read_view
-from tdgbench.data.prepare.dji import read_raw, stamped_apart
+from tdgbench.data.prepare.dji import read_raw, paired_by_number
 from tdgbench.data.prepare.places import read_taken
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions
@@ -125,8 +125,8 @@ def test_names_of_one_shot_that_are_seconds_apart(tmp_path, pairs):
 
 
 def test_times_that_are_none(tmp_path):
-    assert stamped_apart(["DJI_20249999999999_0001"], ["DJI_20249999999998_0001"]) == ({}, {})
-    assert stamped_apart(["a_DJI_20240101000000_0001"], ["b_DJI_20240101000001_0001"]) == ({}, {})
+    assert paired_by_number(["DJI_20249999999999_0001"], ["DJI_20249999999998_0001"]) == ({}, {})
+    assert paired_by_number(["a_DJI_20240101000000_0001"], ["b_DJI_20240101000001_0001"]) == ({}, {})
 
 
 def test_enlarged_pictures_and_other_encodings(tmp_path):
