@@ -49,13 +49,18 @@ def verify_cell(folder: Path, weights: Path | None = None) -> list[str]:
     """
     problems = Problems()
     stated = problems.read(RECORD_FILE, read_cell, folder)
-    if stated is None:
-        return problems.all
+    if stated is not None:
+        check_cell(stated, problems, weights)
+    return problems.all
+
+
+def check_cell(stated: StatedCell, problems: Problems, weights: Path | None = None) -> None:
+    """Add the problems of `verify_cell`."""
     cell, record = stated.cell, stated.cell.record
     problems.check(f"fields of {RECORD_FILE}", record_problems.field_problems, stated.text)
     problems.check("the key", record_problems.key_problems, record)
     if record.status == "failed":
-        return problems.all
+        return
     problems.check("its files", cell.file_problems)
     problems.check("its settings", record_problems.setting_problems, record)
     cameras = problems.read(CAMERAS_FILE, lambda: cell.cameras)
@@ -68,7 +73,7 @@ def verify_cell(folder: Path, weights: Path | None = None) -> list[str]:
     if rows is not None:
         problems.check(f"means of {VIEWS_FILE}", mean_problems, record, rows)
     if cameras is None:
-        return problems.all
+        return
     problems.check("the number of views", record_problems.view_problems, record, cameras)
     problems.check("its pictures", picture_problems, set(cell.files()), list(cell.test_cameras))
     if rows is not None:
@@ -77,4 +82,3 @@ def verify_cell(folder: Path, weights: Path | None = None) -> list[str]:
     problems.check("its masks", mask_problems, cell)
     problems.check("scores", score_problems, cell, rows, depths, weights)
     problems.check("its ground truth", truth_problems, cell)
-    return problems.all

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from tdgbench.packs import opened_pack
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
 from tdgbench.text import one_line
-from tdgbench.verify.cell import read_cell, verify_cell
+from tdgbench.verify.cell import check_cell, read_cell
 from tdgbench.verify.problems import NotCheckedError, Problems
 from tdgbench.verify.record_problems import place_problems
 from tdgbench.verify.truth import data_problems, true_data
@@ -95,7 +96,7 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
             stated = found.read(RECORD_FILE, read_cell, folder)
             if stated is not None:
                 found.check("its folder", place_problems, stated.cell)
-                found.all += [problem for problem in verify_cell(folder, weights) if problem not in found.all]
+                check_cell(stated, found, weights)
             if stated is not None and stated.cell.record.status == "ok":
                 finished += 1
                 try:
@@ -114,6 +115,4 @@ def _without_record(experiment: Path) -> list[Path]:
     # at this depth alone, as a method may be `renders`
     folders = {path.parent for name in OF_A_CELL for path in cells.glob(f"*/*/*/*/*/{name}")}
     visible = [f for f in sorted(folders) if not any(part.startswith(".") for part in f.relative_to(cells).parts)]
-    return [
-        folder for folder in visible if not (folder / RECORD_FILE).exists() and not (folder / RECORD_FILE).is_symlink()
-    ]
+    return [folder for folder in visible if not os.path.lexists(folder / RECORD_FILE)]
