@@ -83,7 +83,6 @@ def noise(width: int, height: int, views: int) -> Scene:
 @pytest.mark.parametrize(
     "write",
     [
-        partial(write_thermalmix, camera="PINHOLE"),
         partial(write_thermalmix, camera="PINHOLE", change=lambda d, n: np.pad(d[:, 20:], ((0, 0), (20, 0)))),
         write_rgbt_scenes,
     ],

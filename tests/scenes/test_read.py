@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from tdgbench.scenes import SceneError
+from tdgbench.scenes.options import split_names
 from tests.helpers.scenes import load, small_dataset
 
 
@@ -35,12 +36,6 @@ def test_errors_name_the_file(folder):
     (folder / "thermal" / "view004.png").write_bytes(b"no image")
     with pytest.raises(SceneError, match=r"view004\.png cannot be read"):
         load(folder)
-
-
-def test_views_without_pose_are_omitted(folder):
-    shutil.copy(folder / "thermal" / "view001.png", folder / "thermal" / "extra.png")
-    scene = load(folder)
-    assert len(scene.views) == 10 and "extra" in scene.notes[0]
 
 
 def test_duplicates_and_wrong_shapes(folder):
@@ -131,3 +126,21 @@ def test_a_file_of_the_model_s_folder_that_is_not_utf_8(folder):
     (folder / "sparse" / "0" / os.fsdecode(b"\xff.ini")).write_text("x")
     with pytest.raises(SceneError, match=r"udcff\.ini' is not UTF-8; rename it"):
         load(folder)
+
+
+NAMES = [f"v{i:02d}" for i in range(20)]
+
+
+def test_as_shipped():
+    shipped = {name: "test" if name in ("v03", "v04") else "train" for name in NAMES}
+    train, test = split_names(NAMES, "folder", shipped)
+    assert test == ["v03", "v04"] and len(train) == 18
+
+
+def test_impossible_splits_are_refused():
+    with pytest.raises(ValueError, match="needs train/ and test/"):
+        split_names(NAMES, "folder", {})
+    with pytest.raises(ValueError, match="0 training and 1 test"):
+        split_names(["only"], "every_8th", {})
+    with pytest.raises(ValueError, match="split is 'half'"):
+        split_names(NAMES, "half", {})

@@ -4,30 +4,13 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import Camera, SceneError, View
+from tdgbench.scenes.camera import MAX_COORDINATE, check_camera
 
 
 def camera(centre, size=(40, 30)) -> Camera:
     pose = np.eye(4)
     pose[:3, 3] = -np.asarray(centre, float)
     return Camera(np.array([[20.0, 0, 20], [0, 20, 15], [0, 0, 1]]), pose, *size)
-
-
-def test_camera():
-    c = camera([1, 2, 3])
-    assert np.allclose(c.center, [1, 2, 3])
-    pixels, z = c.project(np.array([[1.0, 2, 5], [2, 2, 5], [1, 2, 1]]))
-    assert np.allclose(pixels[:2], [[20, 15], [30, 15]]) and np.allclose(z, [2, 2, -2])
-
-
-def test_images_are_read_once():
-    calls = []
-
-    def read():
-        calls.append(1)
-        return np.zeros((2, 2, 1), np.float32)
-
-    view = View("v", camera([0, 0, 0]), load_thermal=read)
-    assert view.thermal is view.thermal and len(calls) == 1 and view.true_depth is None
 
 
 def test_a_masked_pixel_is_0_whatever_was_read():
@@ -64,3 +47,33 @@ def test_another_thermal_image_keeps_what_was_read_besides():
     assert sorted(reads) == ["rgb", "thermal", "valid"]
     unread = replace(view).with_thermal(view.thermal)  # nothing was read of this one
     assert unread.rgb is rgb and reads[3:] == ["rgb"]
+
+
+def changed_camera(**changes) -> Camera:
+    K, pose = np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]), np.eye(4)
+    for place, value in changes.get("K", {}).items():
+        K[place] = value
+    for place, value in changes.get("pose", {}).items():
+        pose[place] = value
+    return Camera(K, pose, changes.get("width", 64), changes.get("height", 48))
+
+
+@pytest.mark.parametrize("changes", [{}, {"K": {(0, 2): -20}}, {"pose": {(0, 3): MAX_COORDINATE}}, {"K": {(1, 1): 30}}])
+def test_cameras_that_can_be(changes):
+    check_camera(changed_camera(**changes), "view v")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"K": {(0, 0): np.nan}}, {"K": {(0, 0): np.inf}}, {"K": {(0, 0): 0}}, {"K": {(1, 1): -50}},
+        {"K": {(0, 0): 0.1, (1, 1): 0.1}}, {"K": {(0, 0): 1e5, (1, 1): 1e5}}, {"K": {(0, 0): 400}},
+        {"K": {(0, 2): np.nan}}, {"K": {(1, 2): 1e4}}, {"K": {(0, 1): 3}}, {"K": {(2, 2): 2}},
+        {"width": 0}, {"height": -1}, {"width": 10**6, "height": 10**6},
+        {"pose": {(0, 0): np.nan}}, {"pose": {(0, 3): -np.inf}}, {"pose": {(0, 0): 0}}, {"pose": {(0, 0): -1}},
+        {"pose": {(3, 0): 1}}, {"pose": {(1, 3): 1e12}},
+    ],
+)  # fmt: skip
+def test_cameras_that_cannot_be(changes):
+    with pytest.raises(SceneError, match=r"^view v (has|is) .*Correct the model$"):
+        check_camera(changed_camera(**changes), "view v")

@@ -125,12 +125,6 @@ def test_arrays_that_are_no_temperatures(small_gray_scene, tmp_path, make, messa
     assert str(path) in str(error.value)
 
 
-def test_a_scene_of_one_temperature(small_gray_scene, tmp_path):
-    folder = write_thermalmix(small_gray_scene, tmp_path / "lion", change=lambda degC, number: np.full_like(degC, 20))
-    with pytest.raises(SceneError, match=r"give no range \(nearly all are 20 °C\); set data\.temperature=\[min,max\]"):
-        load(folder, fillers=[])
-
-
 def test_what_is_missing_is_named(small_gray_scene, tmp_path):
     folder = write_thermalmix(small_gray_scene, tmp_path / "lion")
     shutil.rmtree(folder / "rgb")

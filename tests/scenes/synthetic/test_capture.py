@@ -3,7 +3,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from tdgbench.bench.options import OptionError, check_options
-from tdgbench.scenes.synthetic.capture import ThermalErrors, limits, vignette
+from tdgbench.scenes.synthetic.capture import ThermalErrors, vignette
 from tests.helpers.configs import config
 
 SIZE, SPAN = (48, 36), (10.0, 30.0)
@@ -58,13 +58,6 @@ def test_one_error_does_not_change_the_random_numbers_of_another():
     both, one = drawn(walk_degC=1.0, gain=0.05, pattern_degC=0.1), drawn(gain=0.05)
     assert np.array_equal(both.gains, one.gains)
     assert np.array_equal(both.pattern, drawn(pattern_degC=0.1).pattern)
-
-
-def test_limits_of_gain_control_leave_out_tails():
-    degC = np.linspace(0, 10, 1001)[None]
-    assert limits(degC) == pytest.approx((0.01, 9.99), abs=0.01)
-    low, high = limits(np.full((2, 2), 7.0))
-    assert low == 7 and high > low
 
 
 @pytest.mark.parametrize("wrong", ["gain=2", "encoding=jpeg", "shutter_views=-1", "walk_degC=nan"])

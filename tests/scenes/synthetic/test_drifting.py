@@ -36,13 +36,6 @@ def test_every_view_shows_the_true_temperatures_with_the_camera_s_errors(data_ro
     assert values.min() > 0 and values.max() < 1 and np.ptp(camera.offsets) > 1
 
 
-def test_where_no_truth_is_known_the_given_images_are_it(data_root):
-    clean = small_dataset(data_root).load("turntable")
-    clean.train = [replace(view, load_true_temperature=None) for view in clean.train]
-    scene, _ = drifting(clean, ERRORS, 0)
-    assert scene.train[0].true_temperature == pytest.approx(in_degC(clean.train[0], clean), abs=1e-4)
-
-
 def test_another_seed_or_error_is_another_scene(data_root):
     names = [{}, {"seed": 1}, {"noise_degC": 0.1}]
     scenes = [dataset(data_root, **one).load("turntable") for one in names]

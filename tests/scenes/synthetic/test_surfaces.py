@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 
+from tdgbench.scenes.synthetic.render import shade, trace
 from tdgbench.scenes.synthetic.surfaces import Cuboid, Cylinder, Hills, Material, Patches, Sphere, Spot, waves
+from tdgbench.scenes.synthetic.worlds import WORLDS
+from tests.helpers.scenes import small_dataset
 
 DOWN = np.array([[0.0, 0.0, -1.0]])
 
@@ -68,3 +71,17 @@ def test_a_patch_is_of_the_nearest_site_s_material():
     ground = Patches(np.array([[0.0, 0.0], [2.0, 0.0]]), [warm, cold])
     albedo, degC = ground.shade(np.array([[0.9, 5.0, 1.0], [1.1, -5.0, 0.0], [-8.0, 0.0, 0.0]]))
     assert degC.tolist() == [30, 10, 30] and albedo[:, 0] == pytest.approx([1, 1 / 3, 1])
+
+
+def test_temperatures_are_in_the_image(data_root):
+    """Gray values are the cast temperatures, up to noise and rounding."""
+    scene = small_dataset(data_root).load("facade")
+    world, view = WORLDS["facade"](0), scene.train[3]
+    y, x = np.mgrid[0:36, 0:48] + 0.5
+    points, depth, owner = trace(world, view.camera, np.stack([x.ravel(), y.ravel()], axis=-1))
+    pixels, z = view.camera.project(points)
+    assert np.allclose(pixels, np.stack([x.ravel(), y.ravel()], axis=-1)) and np.allclose(z, depth)
+    assert np.allclose(depth.reshape(36, 48), view.true_depth, rtol=1e-5)
+    _, degC = shade(world, points, owner)
+    low, high = scene.temperature.min, scene.temperature.max
+    assert np.median(np.abs(view.thermal[..., 0] * (high - low) + low - degC.reshape(36, 48))) < 0.2
