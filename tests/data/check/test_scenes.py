@@ -92,12 +92,6 @@ def test_thermalmix_as_downloaded(tmp_path, small_gray_scene):
     assert len(checks["pan"].problems) == 2 and all("warped_thermal/view00" in p for p in checks["pan"].problems)
 
 
-def test_nothing_there(tmp_path):
-    for root in (tmp_path, tmp_path / "nowhere"):
-        place, checks, begun = checked(root)
-        assert place.is_paper and not begun and {check.status for check in checks.values()} == {"missing"}
-
-
 def test_masked_pixels_and_missing_photos(tmp_path, small_gray_scene):
     def with_nan(degC, number):
         degC = degC.copy()

@@ -127,13 +127,6 @@ def test_nerfstudio_is_read_back(masked, small_gray_scene, tmp_path, has_rgb):
         assert ("mask_path" in frame) == has_rgb and (not has_rgb or (out / frame["mask_path"]).exists())
 
 
-def test_thermal_images_alone_for_nerfstudio(masked, tmp_path):
-    export_scene(masked, tmp_path / "out", "nerfstudio")
-    content = json.loads((tmp_path / "out" / "transforms_thermal_only.json").read_text(encoding="utf-8"))
-    assert all(frame["file_path"] == frame["thermal_file_path"] for frame in content["frames"])
-    assert set(content["train_filenames"]) < {frame["file_path"] for frame in content["frames"]}
-
-
 def test_oezer_is_read_back(masked, tmp_path):
     out = tmp_path / "out"
     statement = export_scene(masked, out, "oezer")

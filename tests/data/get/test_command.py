@@ -78,11 +78,6 @@ def test_no_network(tmp_path, monkeypatch):
     )
 
 
-@pytest.mark.parametrize("words", [["get", "kitti", "data"], ["get", "thermalmix"]])
-def test_wrong_arguments(tmp_path, words):
-    assert tdgbench_here(tmp_path, "data", *words).returncode == 2
-
-
 @pytest.mark.parametrize("ending", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_a_signal_ends_it_in_one_line_and_the_next_run_goes_on(tmp_path, server, ending):
     server.faults["lion.zip"] = [Fault(seconds=0.02)]

@@ -55,9 +55,3 @@ def test_answers_that_are_no_list(server, answer, message):
     server.faults[""] = [Fault(status=410)]
     with pytest.raises(GetError, match="cannot be listed: 410 Client Error: Gone"):
         list_files(SOURCE, server.address)
-
-
-@pytest.mark.parametrize("address", ["zenodo", "ftp://127.0.0.1", "http://"])
-def test_no_address(address):
-    with pytest.raises(GetError, match="the files of ThermalMix cannot be listed"):
-        list_files(SOURCE, address)

@@ -62,12 +62,6 @@ def test_one_lens_in_every_format(tmp_path, name, text):
     assert start_camera(SIZE, "SIMPLE_RADIAL", None, ()) is None
 
 
-def test_four_coefficients_make_the_simpler_model(tmp_path):
-    (tmp_path / "cv.yml").write_text(YAML.replace(", 0.01 ]", " ]"))
-    (lens,) = read_calibration(tmp_path / "cv.yml")
-    assert lens.model == "OPENCV" and len(lens.params) == 8
-
-
 @pytest.mark.parametrize(
     ("name", "text", "what"),
     [

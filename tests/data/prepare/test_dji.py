@@ -8,7 +8,7 @@ import pytest
 from PIL import ExifTags, Image
 
 from tdgbench.data.prepare.capture import read_view
-from tdgbench.data.prepare.dji import read_raw, paired_by_number
+from tdgbench.data.prepare.dji import paired_by_number, read_raw
 from tdgbench.data.prepare.places import read_taken
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions

@@ -54,13 +54,6 @@ def test_output_has_the_thermal_resolution_and_never_more_than_rgb():
         make_grid(no_distortion(RGB), same_view(RGB, (12, 9)), (12, 9))
 
 
-def test_images_of_equal_pixels_stay_as_they_are():
-    grid = make_grid(no_distortion(RGB), same_view(RGB, RGB), RGB)
-    rgb = np.random.default_rng(0).random((240, 320, 3)).astype(np.float32)
-    thermal, valid = grid.thermal(rgb[..., 0].astype(np.float64), same_view(RGB, RGB))
-    assert valid.all() and np.allclose(grid.rgb(rgb), rgb, atol=1e-6) and np.allclose(thermal, rgb[..., 0], atol=1e-6)
-
-
 def test_invalid_pixels_are_told_and_filled():
     grid = make_grid(no_distortion(RGB), same_view(RGB, RGB), RGB)
     thermal = np.full((240, 320), 20.0)
