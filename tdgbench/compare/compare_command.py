@@ -61,7 +61,7 @@ def _compare(a: Path, b: Path, out: Path | None) -> int:
         )
     causes, otherwise = find_causes(pairs), assumed_differences((pair.a.record, pair.b.record) for pair in pairs)
     table = score_table(pairs, are_repeats=all(cause.kind == MACHINE for cause in causes))
-    findings = [*read_otherwise(otherwise), *sentences(table, causes, pairs)]
+    findings = [*assumed_in_words(otherwise), *findings_of(table, causes, pairs)]
     for one in otherwise[:MOST_CAUSES]:
         say(one_line(one.sentence), "assumed:", "bold")
     if len(otherwise) > MOST_CAUSES:
@@ -89,7 +89,7 @@ def _cells(experiment: Path) -> list[Cell]:
     return results.finished
 
 
-def read_otherwise(differences: Sequence[AssumedDifference]) -> list[str]:
+def assumed_in_words(differences: Sequence[AssumedDifference]) -> list[str]:
     """Return the finding that the two read their files in other ways, and in which; empty if they did not."""
     names = dict.fromkeys(one.name for one in differences if UNSTATED not in (one.a, one.b))
     scenes = len({one.scene for one in differences if one.name in names})
@@ -99,7 +99,8 @@ def read_otherwise(differences: Sequence[AssumedDifference]) -> list[str]:
     return [f"assumed differently, in {where}: {one_line(', '.join(names))}; their numbers may be of other images"]
 
 
-def sentences(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> list[str]:
+def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> list[str]:
+    """Return what a comparison found, one sentence each: verdicts, what differs, cells of one experiment alone."""
     found = []
     if (table.loc[table["metric"].isin(METRICS), "verdict"] == IDENTICAL).all():
         found.append(f"all scores of the {len(pairs)} cells that both have are identical")

@@ -83,8 +83,8 @@ def cell_rows(records: Iterable[Record], plan: Plan, init: str | None = None) ->
 
 def scene_rows(cells: pd.DataFrame) -> pd.DataFrame:
     """Return rows (KEYS, value, reason): means over the seeds of `cell_rows`; n/a if any seed lacks the number."""
-    rows = _means(cells, KEYS)
-    return rows.merge(_first_reasons(cells, KEYS), on=KEYS, how="left").fillna({"reason": ""})
+    first_reason = cells[cells["reason"] != ""].groupby(KEYS, sort=False)["reason"].first()
+    return _means(cells, KEYS).join(first_reason, on=KEYS).fillna({"reason": ""})
 
 
 def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
@@ -150,11 +150,6 @@ def _averages(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
 def _means(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
     """Return the mean value of each group of rows; NaN if any is."""
     return rows.groupby(over, sort=False)["value"].agg(lambda values: values.to_numpy().mean()).reset_index()
-
-
-def _first_reasons(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
-    """Return the first reason of each group of rows that has one."""
-    return rows[rows["reason"] != ""].groupby(over, sort=False)["reason"].first().reset_index()
 
 
 def _scenes(records: list[Record], plan: Plan) -> list[Description]:
