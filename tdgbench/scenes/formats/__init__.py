@@ -97,12 +97,7 @@ def celsius_of(decoded: Decoded, path: Path, scale: CountScale = NO_SCALE) -> np
     if found.meaning == "counts":
         scale = agreed_scale(path, found, scale)
         if not scale.is_known:
-            is_dji = found.format.startswith(DJI.name)
-            only = (
-                ", which only DJI's SDK or dji-thermal-cli turn into °C: write float TIFF (docs/data.md), or"
-                if is_dji
-                else ";"
-            )
+            only = f", {found.remedy}, or" if found.remedy else ";"
             raise SceneError(
                 f"{path} holds counts{only} say which temperature they mean: degC_per_count and degC_at_zero (in "
                 "temperature.json, or as options)"

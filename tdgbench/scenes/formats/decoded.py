@@ -45,6 +45,7 @@ class Header(NamedTuple):
     meaning: Meaning
     scale: CountScale = NO_SCALE  # of counts, if the file states it
     assumed: tuple[str, ...] = ()
+    remedy: str = ""  # how to get °C of counts without a scale
 
     def checked(self, path: Path) -> Header:
         """Return this header. Raises SceneError as `check_pixels`."""

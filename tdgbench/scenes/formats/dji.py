@@ -16,6 +16,7 @@ MAKE = b"DJI"  # in the EXIF segment
 SEGMENTS = ("APP3", "APP4")
 ENLARGED = range(1, 5)  # times, of the picture's sides over those of the counts
 NAME = "DJI radiometric JPEG"
+REMEDY = "which only DJI's SDK or dji-thermal-cli turn into °C: write float TIFF (docs/data.md)"
 
 
 def _fits(source: Source) -> bool:
@@ -36,7 +37,8 @@ def _read(source: Source) -> tuple[Header, bytes]:
             if len(raw) == 2 * width * height and (width * times, height * times) == (picture.width, picture.height):
                 is_enlarged = f"counts of {width}×{height} px, under a picture of {picture.width}×{picture.height}"
                 assumed = (is_enlarged,) if times > 1 else ()
-                return Header(f"{NAME} ({name})", width, height, "16-bit", "counts", assumed=assumed), raw
+                header = Header(f"{NAME} ({name})", width, height, "16-bit", "counts", assumed=assumed, remedy=REMEDY)
+                return header, raw
     raise SceneError(
         f"{source.path} has {len(joined['APP3'])} bytes of raw data for {picture.width}×{picture.height} pixels of two "
         "bytes: a camera that is not known here, or a damaged file; export it as float TIFF with DJI's SDK, or copy it "

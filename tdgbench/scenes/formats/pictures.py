@@ -19,9 +19,8 @@ from PIL import ExifTags, Image, ImageCms, UnidentifiedImageError
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats.decoded import Decoded, Depth, Format, Header, Meaning, Source, check_pixels, without_alpha
-from tdgbench.scenes.formats.unread import not_an_image
+from tdgbench.scenes.formats.unread import PILLOW, not_an_image
 
-PILLOW = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")
 PNG = b"\x89PNG\r\n\x1a\n"
 RGB_TYPE, GRAY_ALPHA, RGB_ALPHA = 2, 4, 6  # PNG's colour types
 COUNT_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")  # Pillow's, of one channel

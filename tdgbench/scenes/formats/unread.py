@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from tdgbench.scenes.errors import SceneError
 
-EXPORT = "copy it again, or export it as PNG, JPEG, TIFF, BMP, WEBP"
+PILLOW = ("PNG", "JPEG", "TIFF", "BMP", "WEBP")  # formats that it opens
+EXPORT = f"copy it again, or export it as {', '.join(PILLOW)}"
 PNG, CELSIUS = "PNG", "float TIFF in °C, as by flirpy's Splitter or FLIR's software"
 
 
