@@ -20,7 +20,7 @@ from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.images import MODALITIES, THERMAL
 from tdgbench.training.part import Network, Part, RandomStream, Rate, State
 from tdgbench.training.rig import Rig
-from tdgbench.training.rule import DecideGrowth
+from tdgbench.training.rule import DecideGrowth, ModelInputs
 from tdgbench.training.skips import Skips
 from tdgbench.training.splat_model import ModelOptions, SplatModel
 
@@ -195,9 +195,9 @@ class Context:
     def _growth(self, modality: str, background: torch.Tensor | None, rig: Rig | None) -> DecideGrowth | None:
         """Return what decides the growth of a model by the first rule that has a say in it."""
         images, curriculum = MODALITIES[modality], self.curriculum(modality)
-        camera_of = rig.camera if rig is not None else lambda camera: camera
-        inputs = (self.scene.train, images, curriculum, self.backend, background, camera_of)
-        found = (rule.growth(*inputs) for rule in self.budget.active_rules)
+        of_rig = {} if rig is None else {"camera_of": rig.camera}
+        inputs = ModelInputs(self.scene.train, images, curriculum, self.backend, background, **of_rig)
+        found = (rule.growth(inputs) for rule in self.budget.active_rules)
         return next((growth for growth in found if growth is not None), None)
 
     def views(self, name: str = "views", modality: str | None = None) -> ViewOrder:

@@ -19,7 +19,6 @@ gain. The strongest grow, as many as make up `share` of the gain of all that pas
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, NamedTuple
@@ -29,16 +28,14 @@ import torch
 from pydantic import Field, NonNegativeFloat, PositiveInt
 from torch import Tensor
 
-from tdgbench.scenes import Camera, View
+from tdgbench.scenes import View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import SumFootprints
 from tdgbench.splats.density import GrowthDecision, strongest
 from tdgbench.splats.geometry import rotation_matrices
 from tdgbench.splats.render import footprint_sums, render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
-from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.images import Modality
-from tdgbench.training.rule import DecideGrowth, Rule
+from tdgbench.training.rule import DecideGrowth, ModelInputs, Rule
 from tdgbench.training.skips import Finished, Skip, summed
 
 SLACK = 1e-3  # relative, of distances, against rounding
@@ -58,16 +55,8 @@ class GrowthRule(Rule):
     share: Annotated[float, Field(gt=0, le=1)]  # of the gain of all that pass `z`; the strongest that make it up grow
     clearance: NonNegativeFloat  # standard deviations; a Gaussian whose centre is nearer to a camera is pruned
 
-    def growth(
-        self,
-        views: list[View],
-        images: Modality,
-        curriculum: Curriculum,
-        backend: str,
-        background: Tensor | None,
-        camera_of: Callable[[Camera], Camera],
-    ) -> DecideGrowth:
-        return GrowthTest(self, views, images, curriculum, backend, background, camera_of).decide
+    def growth(self, model: ModelInputs) -> DecideGrowth:
+        return GrowthTest(self, model).decide
 
     def compile_kernels(self, gaussians: Gaussians, camera: Pinhole, backend: str) -> None:
         black = gaussians.means.new_zeros(camera.height, camera.width, gaussians.channels)
@@ -83,36 +72,23 @@ class GrowthRule(Rule):
 class GrowthTest:
     """Decides which Gaussians of a model grow, by a `GrowthRule`."""
 
-    def __init__(
-        self,
-        rule: GrowthRule,
-        views: list[View],
-        modality: Modality,
-        curriculum: Curriculum,
-        backend: str,
-        background: Tensor | None = None,
-        camera_of: Callable[[Camera], Camera] = lambda camera: camera,
-    ) -> None:
-        """views: training views; a round renders some of those that the curriculum uses, at its resolution.
-
-        background: (C,) behind the Gaussians; None: black. camera_of: maps a view's camera to the one that took it.
-        """
-        self.rule, self.views, self.modality, self.curriculum, self.backend = rule, views, modality, curriculum, backend
-        self.background, self.camera_of = background, camera_of
+    def __init__(self, rule: GrowthRule, model: ModelInputs) -> None:
+        """A round renders some of the model's views that its curriculum uses, at the curriculum's resolution."""
+        self.rule, self.model = rule, model
 
     @cached_property
     def noise(self) -> float:
         """Standard deviation of the noise in the views' images, at full resolution."""
-        return self.modality.typical_noise(self.views)
+        return self.model.images.typical_noise(self.model.views)
 
     @torch.no_grad()
     def decide(self, gaussians: Gaussians, degree: int, round_number: int) -> GrowthDecision:
         """Return which Gaussians grow, by the round's views, and which go. degree: of the harmonics in use."""
         views, weight = gaussians.means.new_zeros(2, len(gaussians))
         difference = gaussians.means.new_zeros(len(gaussians), gaussians.channels)
-        active, sum_halves = gaussians.activated(degree), sums_of_halves(gaussians, self.backend)
+        active, sum_halves = gaussians.activated(degree), sums_of_halves(gaussians, self.model.backend)
         for view in self.views_of_round(round_number):
-            seen = self.measure(self.curriculum.at_resolution(view), active, sum_halves)
+            seen = self.measure(self.model.curriculum.at_resolution(view), active, sum_halves)
             views += seen.visible
             weight += seen.weight
             difference += seen.difference
@@ -130,7 +106,7 @@ class GrowthTest:
         not see it, because it lies before their near plane. A camera between them would see nothing else: the
         projection, which is linear at the Gaussian's centre, covers its image.
         """
-        centers = np.stack([self.camera_of(view.camera).center for view in self.views])
+        centers = np.stack([self.model.camera_of(view.camera).center for view in self.model.views])
         x, y, z = gaussians.means.T.contiguous()
         nearest = torch.full_like(x, torch.inf)  # squared; rows of three take five times as long as columns
         for u, v, w in centers.tolist():
@@ -145,19 +121,15 @@ class GrowthTest:
 
     def views_of_round(self, round_number: int) -> list[View]:
         """Return the views of a round, evenly spread and shifted by one in every round."""
-        views = self._views
+        views = [view for view in self.model.views if self.model.curriculum.shows(view)]
         count = min(self.rule.views, len(views))
         return [views[(round_number + i * len(views) // count) % len(views)] for i in range(count)]
 
-    @property
-    def _views(self) -> list[View]:
-        return [view for view in self.views if self.curriculum.shows(view)]
-
     def measure(self, view: View, active: GaussianTensors, sum_halves: SumFootprints) -> Footprints:
         """Render a view and return the footprints of the Gaussians, and of their halves, in its residual."""
-        camera = Pinhole.of(self.camera_of(view.camera)).to(active.means)
-        image = render_view(active, camera, background=self.background, backend=self.backend).image
-        target, valid = self.modality.tensors_of(view, image.device)
+        model, camera = self.model, Pinhole.of(self.model.camera_of(view.camera)).to(active.means)
+        image = render_view(active, camera, background=model.background, backend=model.backend).image
+        target, valid = model.images.tensors_of(view, image.device)
         return footprints(sum_halves, camera, target - image, valid)
 
 

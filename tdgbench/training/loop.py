@@ -73,7 +73,7 @@ def train(
     log.ended = log.ended or not trainer.method.trains
     loop = _Loop(trainer, log, on_log_line, after_iteration, before_update)
     try:
-        with trainer.pending:
+        with trainer.pending.made_at_end():
             while not log.ended:
                 loop.iterate()
     except TrainingError as error:
@@ -138,28 +138,23 @@ class _Loop:
 
 def _checked_loss(step: Step, trainer: Trainer, iteration: int) -> float | Tensor:
     """Check that the loss is finite, on a GPU later; return the loss that stopping rules watch."""
+    watched = step.terms.get("thermal", step.loss)
     if trainer.on_gpu:
         trainer.pending.read()
-        return _check_later(step, trainer, iteration)
+        read = start_copy_to_host(step.loss)
+        trainer.pending.add(lambda: _check_loss(read().item(), step, iteration))
+        return watched.detach().double() if isinstance(watched, Tensor) else watched
     loss = step.loss.item()
     if not math.isfinite(loss):
         _check_parameters(trainer.parts, iteration)
-        raise NonFiniteError(iteration, _first_bad(step, step.numbers()[1]))
-    watched = step.terms.get("thermal", loss)
+    _check_loss(loss, step, iteration)
     return watched.item() if isinstance(watched, Tensor) else watched
 
 
-def _check_later(step: Step, trainer: Trainer, iteration: int) -> float | Tensor:
-    """Add the check of a loss that is not finite to the pending ones; return the loss that stopping rules watch."""
-    read = start_copy_to_host(step.loss)
-
-    def check() -> None:
-        if not math.isfinite(read().item()):
-            raise NonFiniteError(iteration, _first_bad(step, step.numbers()[1]))
-
-    trainer.pending.add(check)
-    watched = step.terms.get("thermal", step.loss)
-    return watched.detach().double() if isinstance(watched, Tensor) else watched
+def _check_loss(loss: float, step: Step, iteration: int) -> None:
+    """Raise NonFiniteError, which names what is not finite in a step, if its loss is not."""
+    if not math.isfinite(loss):
+        raise NonFiniteError(iteration, _first_bad(step, step.numbers()[1]))
 
 
 def _ends(trainer: Trainer, iteration: int, loss: Any) -> bool:

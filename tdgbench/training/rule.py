@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from torch import Tensor
 
@@ -21,6 +21,17 @@ if TYPE_CHECKING:  # they ask the rules
     from tdgbench.training.trainer import Trainer
 
 DecideGrowth = Callable[[Gaussians, int, int], GrowthDecision]  # of Gaussians, the SH degree in use, the round's number
+
+
+class ModelInputs(NamedTuple):
+    """What a model is trained on."""
+
+    views: list[View]  # training views
+    images: Modality
+    curriculum: Curriculum
+    backend: str
+    background: Tensor | None = None  # (C,) behind the Gaussians; None: black
+    camera_of: Callable[[Camera], Camera] = lambda camera: camera  # the camera that took a view's image, of the view's
 
 
 class Rule:
@@ -49,20 +60,8 @@ class Rule:
         """Return the function that changes the budget of models of a modality, or returns it as it is."""
         return lambda budget: budget
 
-    def growth(
-        self,
-        views: list[View],
-        images: Modality,
-        curriculum: Curriculum,
-        backend: str,
-        background: Tensor | None,
-        camera_of: Callable[[Camera], Camera],
-    ) -> DecideGrowth | None:
-        """Return the function that decides which Gaussians of a model grow; None: density control's threshold does.
-
-        views: training views. images, curriculum, background (C,): of the model; None: black. camera_of: maps a view's
-        camera to the one that took its image.
-        """
+    def growth(self, model: ModelInputs) -> DecideGrowth | None:
+        """Return the function that decides which Gaussians of a model grow; None: density control's threshold does."""
         return None
 
     def stopping(self, trainer: Trainer) -> Stopping | None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from types import TracebackType
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -124,8 +124,7 @@ class Pending:
     """Checks of earlier steps on a GPU, made when their numbers have reached the host; they may raise NonFiniteError.
 
     The loop makes them after the next step has been rendered. By then the host has waited for the number of pairs,
-    which the device computes after these numbers, so that a check waits for nothing. At the end of a `with` statement
-    they are made as well; an error of theirs replaces a later one.
+    which the device computes after these numbers, so that a check waits for nothing.
     """
 
     def __init__(self) -> None:
@@ -141,11 +140,12 @@ class Pending:
         for check in checks:
             check()
 
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if error is None or isinstance(error, Exception):
+    @contextmanager
+    def made_at_end(self) -> Iterator[None]:
+        """Make the checks that are left at the end of a `with` statement; an error of theirs replaces a later one."""
+        try:
+            yield
+        except Exception:
             self.read()
+            raise
+        self.read()

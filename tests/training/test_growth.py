@@ -11,13 +11,14 @@ from tdgbench.splats.view import Pinhole
 from tdgbench.training.curriculum import Curriculum, Resolution
 from tdgbench.training.growth import GrowthRule, GrowthTest, footprints, split_in_halves, sums_of_halves
 from tdgbench.training.images import RGB, THERMAL
+from tdgbench.training.rule import ModelInputs
 from tests.helpers.footprints import drift, edge, two, view_of, views
 
 RULE = GrowthRule(views=10, z=5.0, share=1.0, clearance=3.0)
 
 
 def judge(views, gaussians=None, rule=RULE, modality=THERMAL, curriculum=None):
-    growth_test = GrowthTest(rule, views, modality, curriculum or Curriculum(), "cpu")
+    growth_test = GrowthTest(rule, ModelInputs(views, modality, curriculum or Curriculum(), "cpu"))
     return growth_test.decide(two() if gaussians is None else gaussians, 0, round_number=1)
 
 
@@ -53,7 +54,7 @@ def test_what_the_background_shows_does_not_grow():
         image = (view.thermal + behind.numpy()).astype(np.float32)
         given.append(view_of(view.name, view.camera, image, None))
     over_black, over_gray = (
-        GrowthTest(RULE, given, THERMAL, Curriculum(), "cpu", background=background)
+        GrowthTest(RULE, ModelInputs(given, THERMAL, Curriculum(), "cpu", background))
         .decide(two(), 0, round_number=1)
         .strength
         for background in (None, gray)
@@ -125,7 +126,8 @@ def numbered(round_number: int, held_out: list[int]) -> list[int]:
     """Numbers of the views that a round looks at, 4 of 12, while some are held out."""
     given = views(edge, count=12)
     curriculum = Curriculum(held_out=[given[number] for number in held_out])
-    growth_test = GrowthTest(dataclasses.replace(RULE, views=4), given, THERMAL, curriculum, "cpu")
+    model = ModelInputs(given, THERMAL, curriculum, "cpu")
+    growth_test = GrowthTest(dataclasses.replace(RULE, views=4), model)
     return [int(view.name) for view in growth_test.views_of_round(round_number)]
 
 
