@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gc
 import signal
 from collections.abc import Iterator
 from functools import cache
@@ -43,6 +44,13 @@ def ctrl_c_is_heard() -> None:
 def torch_has_one_thread() -> None:
     """As in cells. Two processes of tests with two OpenMP threads each would mostly wait for one another."""
     torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def garbage_is_looked_for_among_what_tests_make() -> None:
+    """Every cell looks for it; among all that is imported, and all tests, that would take a quarter of its time."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session", autouse=True)
