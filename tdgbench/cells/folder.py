@@ -15,7 +15,6 @@ import numpy as np
 
 from tdgbench.cells.cameras import Cameras, read_cameras
 from tdgbench.cells.cell_tables import read_log, read_views
-from tdgbench.cells.ground_truth import masked
 from tdgbench.cells.paths import DETERMINACY, LOG_FILE, MASKS, PARTS_FILE, RECORD_FILE, files_of
 from tdgbench.cells.read_files import MAX_PICTURE, read_named
 from tdgbench.cells.record import Record, read_each
@@ -46,6 +45,11 @@ class CellPictures(NamedTuple):
         """(H, W) mean absolute difference over the channels, of values in [0, 1]; NaN where not `valid`."""
         error = np.abs(self.render / 255 - self.truth / 255).mean(axis=2)
         return error if self.valid is None else np.where(self.valid, error, np.nan)
+
+
+def masked(truth: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
+    """Return a ground truth (H, W, C) uint8 that is 0 where the mask (H, W) is false."""
+    return truth if valid is None else np.where(valid[..., None], truth, np.uint8(0))
 
 
 def files_below(folder: Path) -> dict[str, Path]:

@@ -9,15 +9,12 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tdgbench.cells.folder import CellFolder, masked
 from tdgbench.scenes import View
 from tdgbench.scoring import to_8bit
-
-if TYPE_CHECKING:
-    from tdgbench.cells.folder import CellFolder
 
 MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: processors round differently
 
@@ -25,11 +22,6 @@ MAX_DIFFERENT = 1e-3  # share of values that may differ by one of 255 levels: pr
 def truth_of(view: View) -> np.ndarray:
     """Return the ground truth of a view as it is scored, (H, W, C) uint8, 0 where masked."""
     return masked(to_8bit(view.thermal), view.valid)
-
-
-def masked(truth: np.ndarray, valid: np.ndarray | None) -> np.ndarray:
-    """Return a ground truth (H, W, C) uint8 that is 0 where the mask (H, W) is false."""
-    return truth if valid is None else np.where(valid[..., None], truth, np.uint8(0))
 
 
 def truth_hash(truth: np.ndarray) -> str:

@@ -6,12 +6,9 @@ import hashlib
 import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 from tdgbench.scenes.modalities import THERMAL
-
-if TYPE_CHECKING:
-    from tdgbench.cells.record import Record
 
 RECORD_FILE = "record.json"
 CAMERAS_FILE = "cameras.json"  # of all views, to render the model again without the data
@@ -29,7 +26,18 @@ CELL_FILE = re.compile(
 LONGEST = 230  # bytes of a folder's name; file systems allow 255, and hidden siblings have longer names
 
 
-def cell_folder_of(experiment: Path, record: Record) -> Path:
+class CellNames(Protocol):
+    """What names a cell's folder; a record has it."""
+
+    method: str
+    dataset: str
+    scene: str
+    init: str
+    seed: int
+    variant: str
+
+
+def cell_folder_of(experiment: Path, record: CellNames) -> Path:
     """Return <experiment>/cells/<method>/<dataset>/<scene>/<init>/seed<k>[,<variant>].
 
     >>> from tdgbench.cells.record import Record
