@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
+from tdgbench.priors.prior import offers
 from tests.helpers.configs import config
+from tests.helpers.paths import ROOT
 
 
 def test_invalid_priors_are_refused(small_scene):
@@ -33,6 +35,13 @@ def test_invalid_priors_are_refused(small_scene):
 )  # fmt: skip
 def test_the_default_prior_is_the_paper_s_for_real_scenes_and_needs_no_network_for_built_in_ones(words, name):
     assert config(*words).prior.name == name
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "conf" / "prior").iterdir()), ids=lambda path: path.stem)
+def test_every_prior_has_a_row_in_the_docs_and_says_what_it_is_made_from(path):
+    assert f"| `{path.stem}` | " in (ROOT / "docs" / "priors.md").read_text(encoding="utf-8")
+    assert config(f"prior={path.stem}").prior.made_from
+    assert (path.stem in offers()) == (path.stem != "synthetic")
 
 
 class Counting:

@@ -7,6 +7,7 @@ to the thermal image.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -157,8 +158,8 @@ def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size) -> Grid:
     top, bottom, left, right = _box(inside)
     if min(bottom - top, right - left) < SMALLEST:
         raise SceneError(f"the thermal image lies outside of the RGB image: {mapping.assumption}; correct the mapping")
-    K, sides = whole.calibration_matrix(), {"width": right - left, "height": bottom - top}
-    crop = pycolmap.Camera(model="PINHOLE", params=[K[0, 0], K[1, 1], K[0, 2] - left, K[1, 2] - top], **sides)
+    K = whole.calibration_matrix()
+    crop = _pinhole((right - left, bottom - top), [K[0, 0], K[1, 1], K[0, 2] - left, K[1, 2] - top])
     density = _density(rows[top:bottom, left:right], columns[top:bottom, left:right])
     width = round(min(1.0, density) * crop.width)
     height = round(crop.height * width / crop.width)
@@ -166,18 +167,19 @@ def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size) -> Grid:
         raise SceneError(
             f"the output would be {width}×{height} px; both must be at least {SMALLEST}: use larger images"
         )
-    output = pycolmap.Camera(
-        model="PINHOLE", width=width, height=height,
-        params=np.array(crop.params) * np.array([width / crop.width, height / crop.height] * 2),
-    )  # fmt: skip
+    scale = np.array([width / crop.width, height / crop.height] * 2)
+    output = _pinhole((width, height), np.array(crop.params) * scale)
     fine = Undistortion(source, output, "the RGB camera")
     return Grid(Undistortion(source, crop, "the RGB camera"), *fine.positions, np.array(output.calibration_matrix()))
 
 
 def no_distortion(rgb: Size) -> pycolmap.Camera:
     """Return a camera that leaves images as they are, for captures without a model."""
-    width, height = rgb
-    return pycolmap.Camera(model="PINHOLE", width=width, height=height, params=[width, width, width / 2, height / 2])
+    return _pinhole(rgb, [rgb[0], rgb[0], rgb[0] / 2, rgb[1] / 2])
+
+
+def _pinhole(size: Size, params: Sequence[float] | np.ndarray) -> pycolmap.Camera:
+    return pycolmap.Camera(model="PINHOLE", width=size[0], height=size[1], params=params)
 
 
 def _box(inside: np.ndarray) -> tuple[int, int, int, int]:
