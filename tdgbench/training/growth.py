@@ -58,7 +58,7 @@ class GrowthRule(Rule):
     def growth(self, model: ModelInputs) -> DecideGrowth:
         return GrowthTest(self, model).decide
 
-    def compile_kernels(self, gaussians: Gaussians, camera: Pinhole, backend: str) -> None:
+    def warm_up(self, gaussians: Gaussians, camera: Pinhole, backend: str) -> None:
         black = gaussians.means.new_zeros(camera.height, camera.width, gaussians.channels)
         footprints(sums_of_halves(gaussians, backend), camera, black, None)
 

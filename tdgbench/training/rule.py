@@ -68,7 +68,7 @@ class Rule:
         """Return what may end the trainer's current stage early. The first rule that returns one decides."""
         return None
 
-    def compile_kernels(self, gaussians: Gaussians, camera: Pinhole, backend: str) -> None:
+    def warm_up(self, gaussians: Gaussians, camera: Pinhole, backend: str) -> None:
         """Run the kernels that the rule alone needs, so that they are compiled before the clock starts."""
 
     def account(self, skip: Skip, training: Finished) -> None:

@@ -56,5 +56,5 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, depth: bool, m
         with torch.no_grad():
             model.render(camera, depth=True)  # as held-out views are
         for rule in budget.active_rules:
-            rule.compile_kernels(model.gaussians, Pinhole.of(camera), backend)
+            rule.warm_up(model.gaussians, Pinhole.of(camera), backend)
         model.optimizer.flush()

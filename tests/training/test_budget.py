@@ -1,5 +1,6 @@
 from hydra.utils import instantiate
 
+from tdgbench.training.budget import RULES
 from tests.helpers.configs import config
 
 
@@ -34,3 +35,15 @@ def test_schedules_of_methods_do_not_outlast_a_training():
     assert budget("budget=paper", "method=tdg").schedule_length == 10_000
     assert budget("budget=lean").schedule_length == 3000
     assert budget("budget=lean", "budget.iterations=500").schedule_length == 500
+
+
+def test_the_published_protocol_has_no_rule():
+    assert list(RULES) == ["harmonics", "growth", "pixels", "settling", "plateau"]
+    assert {name: config("budget=paper").budget[name] for name in RULES} == dict.fromkeys(RULES)
+
+
+def test_no_rule_ends_a_trial():
+    lean = budget("budget=lean")
+    trial = lean.for_trial(70)
+    assert trial.iterations == 70 and trial.settling is trial.plateau is None
+    assert (trial.growth, trial.pixels, trial.harmonics) == (lean.growth, lean.pixels, lean.harmonics)
