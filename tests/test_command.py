@@ -1,13 +1,17 @@
-"""The command line itself; what its experiments do is tested in test_main.py."""
+"""The command line itself: help, tools, what a run leaves; what its experiments do is tested in test_main.py."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 
 import pytest
 
 from tdgbench import command
+from tdgbench.resources import conf_folder
+from tdgbench.tools import TOOLS
+from tdgbench.usage import usage
 
 
 def test_a_run_leaves_the_environment_as_it_was(monkeypatch):
@@ -18,3 +22,26 @@ def test_a_run_leaves_the_environment_as_it_was(monkeypatch):
     with pytest.raises(Exception, match="nosuch"):
         command.run(["nosuch=1"])
     assert os.environ == before
+
+
+@pytest.mark.parametrize("name", TOOLS)
+def test_every_tool_explains_itself(name, capsys):
+    assert callable(importlib.import_module(TOOLS[name].module).main)
+    with pytest.raises(SystemExit) as stop:
+        TOOLS[name].run(["--help"])
+    assert stop.value.code == 0 and capsys.readouterr().out.startswith(f"usage: tdgbench {name} ")
+
+
+def test_help_fits_on_a_screen_and_names_everything():
+    lines = usage().splitlines()
+    assert len(lines) <= 45
+    for experiment in (conf_folder() / "experiment").glob("*.yaml"):
+        assert any(line.startswith(f"  {experiment.stem} ") for line in lines)
+    groups = lines[lines.index("Groups, as GROUP=CHOICE") :]
+    for folder in conf_folder().iterdir():
+        if folder.is_dir() and folder.name != "experiment":
+            row = next(line for line in groups if line.startswith(f"  {folder.name} "))
+            assert {path.stem for path in folder.glob("*.yaml")} == set(row.split()[1:])
+            lines.remove(row)  # as long as it must be
+    assert all(any(f" {tool} " in line for line in lines) for tool in TOOLS)
+    assert max(map(len, lines)) <= 120

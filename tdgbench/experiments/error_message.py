@@ -45,22 +45,17 @@ def _of_option(error: ConfigCompositionException, words: Sequence[str]) -> str:
     return f"{typed}: is no option{option_meant(option)} (`tdgbench --cfg job` shows all)"
 
 
-def _of_hydra(error: HydraException, words: Sequence[str]) -> str:
-    if "--multirun" in str(error):
+def _of_configuration(error: HydraException | OmegaConfBaseException, words: Sequence[str]) -> str:
+    if isinstance(error, HydraException) and "--multirun" in str(error):
         return f"several values need -m: tdgbench -m {' '.join(words)}"
-    return f"{error}\n{error.__cause__}" if isinstance(error.__cause__, OmegaConfBaseException) else str(error)
-
-
-def _of_omegaconf(error: OmegaConfBaseException, words: Sequence[str]) -> str:
     text = f"{error}\n{error.__cause__}" if isinstance(error.__cause__, OmegaConfBaseException) else str(error)
-    return text if error.full_key else f"{text}{_in(words)}"
+    return text if isinstance(error, HydraException) or error.full_key else f"{text}{_in(words)}"
 
 
 MESSAGES: tuple[tuple[Any, Callable[..., str]], ...] = (  # the first one that says something counts
     (OverrideParseException, lambda error, words: f"{error.override!r} cannot be read as KEY=VALUE: {error}"),
     (MissingConfigException, _of_choice),
     (ConfigCompositionException, _of_option),
-    (HydraException, _of_hydra),
-    (OmegaConfBaseException, _of_omegaconf),
+    ((HydraException, OmegaConfBaseException), _of_configuration),
     ((OSError, *EXPECTED_ERRORS), lambda error, words: str(error)),
 )

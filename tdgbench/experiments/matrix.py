@@ -74,6 +74,11 @@ class Matrix(Experiment):
     def tables(self, cfg: DictConfig, cells: Sequence[MatrixCell]) -> dict[str, pd.DataFrame]:
         """Return the tables by the names of their files; none where there is nothing to tell."""
 
+    @staticmethod
+    def image_values(cells: Iterable[MatrixCell]) -> str:
+        """Return the column `image_values` of a number over the finished ones of these cells."""
+        return image_values(cell.record for cell in cells if cell.record is not None)
+
     @abstractmethod
     def show(self, table: pd.DataFrame) -> None:
         """Print the first of the tables."""
@@ -155,8 +160,3 @@ def table_of(cells: Iterable[MatrixCell], numbers: Callable[[Record], Mapping[st
             if (one := cell.record) is not None
         ]
     )
-
-
-def image_values_of(cells: Iterable[MatrixCell]) -> str:
-    """Return `image_values` of a number over the finished ones of these cells."""
-    return image_values(cell.record for cell in cells if cell.record is not None)

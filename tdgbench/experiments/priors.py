@@ -15,16 +15,7 @@ from omegaconf import DictConfig
 from tdgbench.bench.failures import message
 from tdgbench.bench.setup import loader_of
 from tdgbench.cells.paths import prior_cache
-from tdgbench.experiments.matrix import (
-    Axes,
-    AxisValue,
-    Matrix,
-    MatrixCell,
-    MatrixOptions,
-    groups_of,
-    image_values_of,
-    values_of,
-)
+from tdgbench.experiments.matrix import Axes, AxisValue, Matrix, MatrixCell, MatrixOptions, groups_of, values_of
 from tdgbench.experiments.prior_accuracy import Accuracy, PriorErrors, measure_prior, source
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.palette import COLUMN
@@ -131,7 +122,7 @@ class Priors(Matrix):
                         **scores.mean(skipna=False),
                         "psnr_gain": np.nan if prior == NONE else (scores["psnr"] - without["psnr"]).mean(),
                         "reason": error.reason or failed,
-                        COLUMN: image_values_of(of_prior),
+                        COLUMN: self.image_values(of_prior),
                     }
                 )
                 views += [{**place, "view": view, **accuracy._asdict()} for view, accuracy in error.views.items()]

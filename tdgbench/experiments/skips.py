@@ -14,16 +14,7 @@ from tdgbench.bench.options import OptionError
 from tdgbench.bench.signature import Problem
 from tdgbench.cells.record import Record
 from tdgbench.experiments.experiment import prepare_prior
-from tdgbench.experiments.matrix import (
-    Axes,
-    AxisValue,
-    Matrix,
-    MatrixCell,
-    MatrixOptions,
-    image_values_of,
-    table_of,
-    values_of,
-)
+from tdgbench.experiments.matrix import Axes, AxisValue, Matrix, MatrixCell, MatrixOptions, table_of, values_of
 from tdgbench.tables.palette import COLUMN
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.training.budget import SKIP_RULES as RULES
@@ -75,7 +66,7 @@ class SkipAblation(Matrix):
         rows = with_changes(table_of(cells, numbers))
         if rows.empty:
             return {}
-        table = summary(rows, list(cfg.study.skips)).assign(**{COLUMN: image_values_of(cells)})
+        table = summary(rows, list(cfg.study.skips)).assign(**{COLUMN: self.image_values(cells)})
         return {"skips": table, "skips_cells": rows}
 
     def show(self, table: pd.DataFrame) -> None:

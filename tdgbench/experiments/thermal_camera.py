@@ -15,16 +15,7 @@ from pydantic import Field
 from tdgbench.cells.key import as_json
 from tdgbench.cells.record import Record
 from tdgbench.experiments.experiment import prepare_prior
-from tdgbench.experiments.matrix import (
-    Axes,
-    AxisValue,
-    Matrix,
-    MatrixCell,
-    MatrixOptions,
-    groups_of,
-    table_of,
-    values_of,
-)
+from tdgbench.experiments.matrix import Axes, Matrix, MatrixCell, MatrixOptions, groups_of, table_of, values_of
 from tdgbench.scenes.synthetic.capture import CameraTruth
 from tdgbench.scenes.synthetic.drifting import DriftingDataset
 from tdgbench.tables.long_table import metric_value
@@ -82,7 +73,7 @@ class ThermalCameraExperiment(Matrix):
         loaders = {str(name): _loader(cfg, errors) for name, errors in study.captures.items()}
         return {
             "scene": values_of("scene", study.scenes),
-            "capture": [AxisValue(n, {"dataset.loader": one}, f"capture={n}") for n, one in loaders.items()],
+            "capture": groups_of("dataset.loader", loaders, variant="capture"),
             "method": groups_of("method", study.methods),
             "thermal_camera": groups_of("thermal_camera", study.thermal_cameras, variant="thermal_camera"),
             "seed": values_of("seed", study.seeds),
