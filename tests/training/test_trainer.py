@@ -64,10 +64,6 @@ class CoarseToFine(Method):
         loss = (render.image - target).square().mean()
         return Step(loss, {"thermal": loss.item()}, render, target, valid)
 
-    @torch.no_grad()
-    def render(self, frame, modality="thermal"):
-        return self.model.render(frame.camera, depth=True)
-
 
 def two_stages(scene, *overrides: str) -> Trainer:
     return ready_to_train(scene, "3dgs", ITERATIONS, *OFTEN, *overrides, method=CoarseToFine())
