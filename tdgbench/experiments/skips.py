@@ -117,7 +117,7 @@ def with_changes(table: pd.DataFrame) -> pd.DataFrame:
     places = list(zip(table["scene"], table["seed"], strict=True))
     against = base.reindex(places)[list(QUALITY)].apply(pd.to_numeric)
     changes = {f"change of {m}": pd.to_numeric(table[m]) - against[m].to_numpy() for m in QUALITY}
-    return table.assign(**changes)
+    return table.drop(columns=COLUMN).assign(**changes, **{COLUMN: table[COLUMN]})  # the last one, as in all tables
 
 
 def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
