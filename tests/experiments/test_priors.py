@@ -46,18 +46,16 @@ def test_errors_and_scores_of_every_prior(tmp_path, data_root, capsys):
 
 
 def test_tdg_without_a_prior_is_tdg_whose_depth_loss_has_no_weight(tmp_path, data_root):
-    """The row `none` trains 3DGS with eq. 6: the same model, bit for bit, as TDg with λ_depth = 0."""
-    few = ("~study.priors.onnx", "~study.priors.sfm_points", "method.method.lambda_depth=0")
+    """The row `none` trains 3DGS with eq. 6: the same model, bit for bit, as TDg with λ_depth = 0.
+
+    Errors are those of a prior that is trained with: its maps are made once.
+    """
+    few = ("~study.priors.onnx", "~study.priors.sfm_points", "method.method.lambda_depth=0", "study.seeds=[5]")
     Priors().run(config(*overrides(tmp_path, data_root, *few)))
     models = [
         hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted((tmp_path / "priors" / "cells").rglob("*.ply"))
     ]
     assert len(models) == 2 and models[0] == models[1]
-
-
-def test_errors_are_those_of_a_prior_that_is_trained_with(tmp_path, data_root):
-    few = ("~study.priors.onnx", "~study.priors.sfm_points", "study.seeds=[5]")
-    Priors().run(config(*overrides(tmp_path, data_root, *few)))
     assert len(list((tmp_path / "cache").rglob("*.npz"))) == 8  # one for each view, of one seed
 
 
