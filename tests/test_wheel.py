@@ -27,9 +27,12 @@ pytestmark = pytest.mark.slow
 SOURCES = ("tdgbench", "methods", "conf", "paper_tables", "pyproject.toml", "setup.py", "README.md", "LICENSE")
 
 
+VARIABLES = {"COLUMNS": "200", "NUMBA_OPT": "0", "SOURCE_DATE_EPOCH": "1700000000"}  # kernels are compiled quickly
+
+
 def run(*call: str | Path, cwd: Path) -> str:
-    """Output of a command that must succeed, without this checkout on its path. Kernels are compiled quickly."""
-    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | {"COLUMNS": "200", "NUMBA_OPT": "0"}
+    """Output of a command that must succeed, without this checkout on its path."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | VARIABLES
     done = subprocess.run([*map(str, call)], cwd=cwd, env=environment, capture_output=True, text=True, timeout=1800)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
     return done.stdout
@@ -47,11 +50,16 @@ def sources(tmp_path_factory) -> Path:
     return copy
 
 
+def build(kind: str, sources: Path, out: Path) -> Path:
+    """The distribution that setuptools builds: `wheel`, `sdist` or `editable`."""
+    code = f"import sys; from setuptools.build_meta import build_{kind} as build; build(sys.argv[1])"
+    run(sys.executable, "-c", code, out, cwd=sources)
+    return next(out.iterdir())
+
+
 @pytest.fixture(scope="module")
 def wheel(sources, tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("wheel")
-    run(sys.executable, "-m", "pip", "wheel", ".", "--no-deps", "--no-build-isolation", "-w", out, cwd=sources)
-    return next(out.glob("tdgbench-*.whl"))
+    return build("wheel", sources, tmp_path_factory.mktemp("wheel"))
 
 
 def install(environment: Path, wheel: Path) -> Path:
@@ -81,22 +89,13 @@ def test_holds_every_file(wheel):
     assert not any(name.startswith(("tests/", "benchmarks/", "conf/")) for name in names)
 
 
-def build(kind: str, sources: Path, out: Path) -> Path:
-    """The distribution that setuptools builds, with the time of its files fixed."""
-    code = f"import sys; from setuptools.build_meta import build_{kind} as build; build(sys.argv[1])"
-    run("env", "SOURCE_DATE_EPOCH=1700000000", sys.executable, "-c", code, out, cwd=sources)
-    return next(out.iterdir())
-
-
-@pytest.mark.skipif(os.name == "nt", reason="sets an environment variable with `env`")
-def test_a_release_is_reproducible_from_its_source_distribution(sources, tmp_path):
+def test_a_release_is_reproducible_from_its_source_distribution(sources, wheel, tmp_path):
     archive = build("sdist", sources, tmp_path / "sdist")
     with tarfile.open(archive) as opened:
         opened.extractall(tmp_path / "unpacked", filter="data")
     (unpacked,) = (tmp_path / "unpacked").iterdir()
     assert (unpacked / "LICENSE").is_file() and (unpacked / "README.md").is_file()
-    wheels = [build("wheel", folder, tmp_path / name) for folder, name in ((sources, "first"), (unpacked, "second"))]
-    assert wheels[0].read_bytes() == wheels[1].read_bytes()
+    assert build("wheel", unpacked, tmp_path / "wheel").read_bytes() == wheel.read_bytes()
 
 
 def test_works_from_an_empty_folder(programs, tmp_path):
@@ -120,10 +119,8 @@ def test_knows_its_code_but_no_commit(programs, tmp_path):
 
 
 def test_an_editable_installation_reads_the_checkout_s_folders(sources, tmp_path_factory):
-    environment, out = tmp_path_factory.mktemp("editable"), tmp_path_factory.mktemp("wheel")
-    build = "import sys; from setuptools.build_meta import build_editable; build_editable(sys.argv[1])"
-    run(sys.executable, "-c", build, out, cwd=sources)
-    programs = install(environment, next(out.glob("*.whl")))
+    environment = tmp_path_factory.mktemp("editable")
+    programs = install(environment, build("editable", sources, tmp_path_factory.mktemp("wheel")))
     code = "from tdgbench import resources as r; print(r.conf_folder(), r.paper_tables_folder())"
     where = run(programs / "python", "-c", code, cwd=environment).split()
     assert where == [str(sources / "conf"), str(sources / "paper_tables")]
