@@ -6,7 +6,7 @@ import torch
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.gradients import Gradients, GradientStatistics
-from tests.splats.backward_passes import COUNT, HEIGHT, WIDTH, backward_pass, cloud
+from tests.splats.backward_passes import HEIGHT, WIDTH, backward_pass, cloud
 
 
 def test_dense_gradients_have_every_gaussian():
@@ -35,26 +35,23 @@ def test_the_sum_of_two_views():
     assert total.image[:, 1].tolist() == [1, 0, 11, 0] and total.radii.tolist() == [3, 0, 9, 0]
 
 
-def watching(count: int = COUNT) -> GradientStatistics:
-    return GradientStatistics(torch.zeros(count), torch.zeros(0), 0.5 * WIDTH, 0.5 * HEIGHT)
-
-
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize(("channels", "used"), [(1, 3), (3, 0), (3, 2)])
 def test_one_pass_leaves_the_bytes_of_two(threads, channels, used):
-    """Over several batches of Gaussians and a register that is not full."""
+    """Over several batches of Gaussians and a register that is not full; absolute gradients change no other result."""
     count, left = 700, []
     pool.set_threads(threads)
-    for read_first in (False, True):
-        done, statistics = backward_pass(cloud(channels, 3, count=count), "cpu", used), watching(count)
+    for absgrad, read_first in ((True, False), (True, True), (False, False), (False, True)):
+        done, sums = backward_pass(cloud(channels, 3, count=count), "cpu", used, absgrad=absgrad), torch.zeros(2, count)
+        statistics = GradientStatistics(sums[0], sums[1] if absgrad else sums[1, :0], 0.5 * WIDTH, 0.5 * HEIGHT)
         gradients = done.gradients.compute() if read_first else done.gradients
         done.optimizer.step(gradients, 1, statistics=statistics)
         state = done.state
-        arrays = (state.values, state.first, state.second, state.bounds, state.clocks)
-        left.append(
-            ([array.numpy().tobytes() for array in arrays], statistics.grad_sum.numpy().tobytes(), gradients.touched)
-        )
-    assert left[0] == left[1] and left[0][2] > 300
+        arrays = (state.values, state.first, state.second, state.bounds, state.clocks, *sums)
+        left.append(([array.numpy().tobytes() for array in arrays], gradients.touched))
+    assert left[0] == left[1] and left[2] == left[3] and left[0][0][:-1] == left[2][0][:-1] and left[0][1] > 300
+    signed, absolute = (np.frombuffer(total, np.float32) for total in left[0][0][-2:])
+    assert (absolute >= 0.999 * signed).all() and absolute.sum() > 1.5 * signed.sum()
 
 
 def test_what_is_known_before_the_gradients():

@@ -68,8 +68,11 @@ def backend_for(tensor: torch.Tensor) -> Backend:
     It owns memory, statistics of density control, Adam's steps and losses of a training. Another backend may render
     the training: two backends that are compared differ in their rendering alone.
     """
-    candidates = map(load_backend, _fast(tensor.device, tensor.dtype))
-    return next((backend for backend in candidates if backend.why_not() is None), load_backend("reference"))
+    for name in _fast(tensor.device, tensor.dtype):
+        backend = load_backend(name)
+        if backend.why_not() is None:
+            return backend
+    return load_backend("reference")
 
 
 def _fast(device: torch.device, dtype: torch.dtype) -> tuple[str, ...]:

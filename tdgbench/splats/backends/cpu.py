@@ -20,9 +20,8 @@ from tdgbench.splats.cpu.raster.passes import blend_backward, forward
 from tdgbench.splats.cpu.raster.source import Span, source_of_arrays, source_of_rows
 from tdgbench.splats.cpu.raster.types import Channels, Settings, pack_camera, pack_limits
 from tdgbench.splats.cpu.scratch import empty_rows, free_buffers
-from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients
+from tdgbench.splats.gradients import Gradients, GradientStatistics
 from tdgbench.splats.stepping import Rows, RowSteps, Tolerance
-from tdgbench.splats.torch_losses import LossWeights
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
 MAX_CHANNELS = 4
@@ -166,26 +165,17 @@ class CpuBackend(Backend):
             return super().new_rows(like, shape, zeros)
         return torch.from_numpy(empty_rows(*shape, zeros=zeros))
 
-    def free_memory(self) -> None:
-        free_buffers()
-
     def steps_of(self, state: Rows) -> RowSteps:
         return DeferredSteps(state)
-
-    def observe_visible(self, view: Gradients | PendingGradients, view_counts: Tensor, max_radii: Tensor) -> None:
-        statistics.observe_visible(view, view_counts, max_radii)
 
     def observe_gradients(self, gradients: Gradients, sums: GradientStatistics) -> None:
         statistics.observe_gradients(gradients, statistics.StatisticsArrays.of(sums))
 
-    def image_loss(self, image: Tensor, target: Tensor, weights: LossWeights, valid: Tensor | None) -> Tensor:
-        return fused_losses.image_loss(image, target, weights, valid)
-
-    def min_max(self, values: Tensor) -> Tensor:
-        return fused_losses.min_max(values)
-
-    def inverse_expected_depth(self, depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:
-        return fused_losses.inverse_expected_depth(depth, transmittance, min_alpha)
+    free_memory = staticmethod(free_buffers)
+    observe_visible = staticmethod(statistics.observe_visible)
+    image_loss = staticmethod(fused_losses.image_loss)
+    min_max = staticmethod(fused_losses.min_max)
+    inverse_expected_depth = staticmethod(fused_losses.inverse_expected_depth)
 
 
 def _passes(channels: int, options: RenderOptions) -> Iterator[tuple[slice, RenderOptions]]:

@@ -10,8 +10,7 @@ from torch import Tensor
 from tdgbench.splats.warp.arrays import TILE_PIXELS, Pairs, Projected, Source, View, array, filled, on_stream
 from tdgbench.splats.warp.blend import backward_blend, forward_blend
 from tdgbench.splats.warp.gradient import add_pairs, project_backward
-from tdgbench.splats.warp.pairs import find_starts, list_pairs
-from tdgbench.splats.warp.projection import project
+from tdgbench.splats.warp.projection import find_starts, list_pairs, project
 
 LANES = tuple(str(2**power) for power in range(9))
 

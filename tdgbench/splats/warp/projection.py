@@ -1,8 +1,11 @@
-"""Projection of the Gaussians to the image (EWA), their colours, and the tiles that they may touch."""
+"""Projection of the Gaussians to the image (EWA), their colours, and pairs with the tiles that they may touch.
+
+Pairs are sorted by tile and depth: each tile has its Gaussians from near to far.
+"""
 
 import warp as wp
 
-from tdgbench.splats.warp.arrays import TILE, Projected, Source, View
+from tdgbench.splats.warp.arrays import TILE, Pairs, Projected, Source, View
 from tdgbench.splats.warp.sh_basis import basis
 
 wp.set_module_options({"enable_backward": False})
@@ -114,3 +117,34 @@ def project(source: Source, v: View, out: Projected):
         out.ends[g] = (x1 - x0) * (y1 - y0)
         out.shapes[g] = wp.vec3(c / det, b / c, 1.0 / c)
         write_features(g, source, v, p[2], out.features)
+
+
+@wp.kernel
+def list_pairs(projected: Projected, v: View, keys: wp.array(dtype=wp.int64), pairs: Pairs):
+    """Write the pairs of each Gaussian, with tile and depth as the sort key."""
+    g = wp.tid()
+    rect = projected.rects[g]
+    slot = int(0)
+    if g > 0:
+        slot = projected.ends[g - 1]
+    depth = wp.int64(wp.cast(projected.depths[g], int))  # bits of positive floats have the order of the floats
+    for y in range(rect[1], rect[3]):
+        for x in range(rect[0], rect[2]):
+            keys[slot] = (wp.int64(y * v.tiles_x + x) << wp.int64(32)) | depth
+            pairs.slots[slot] = slot
+            pairs.owners[slot] = g
+            slot += 1
+
+
+@wp.kernel
+def find_starts(keys: wp.array(dtype=wp.int64), count: int, starts: wp.array(dtype=int)):
+    """Find the first of the sorted pairs of each tile, by bisection."""
+    tile = wp.tid()
+    low, high = int(0), int(count)
+    while low < high:
+        middle = (low + high) // 2
+        if int(keys[middle] >> wp.int64(32)) < tile:
+            low = middle + 1
+        else:
+            high = middle
+    starts[tile] = low

@@ -146,17 +146,16 @@ def test_a_block_of_threads_adds_up_the_same_gradient():
 
 
 @needs_warp
-@pytest.mark.parametrize("name", ["projection", "pairs", "blend", "gradient", "losses", "adam", "statistics"])
+@pytest.mark.parametrize("name", ["projection", "blend", "gradient", "losses", "adam", "statistics"])
 def test_it_compiles_for_cuda_without_atomics(tmp_path, name):
     """Sums in a fixed order: no instruction adds floats to memory that threads share. Blocks add up in the blend."""
     import warp as wp
 
-    from tdgbench.splats.warp import adam, blend, gradient, pairs, projection, statistics
+    from tdgbench.splats.warp import adam, blend, gradient, projection, statistics
     from tdgbench.splats.warp import losses as image_losses
 
     kernel = {
         "projection": projection.project,
-        "pairs": pairs.list_pairs,
         "blend": blend.backward_blend(3, 256, True).kernel,
         "gradient": gradient.add_pairs,
         "losses": image_losses.similarity,

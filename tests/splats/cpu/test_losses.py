@@ -8,8 +8,8 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.losses.minmax import normalise, normalise_gradient
 from tdgbench.splats.cpu.losses.photometric import photometric_and_gradient, prepare_target
-from tdgbench.splats.cpu.losses.row_sums import difference_sum, row_sum
 from tdgbench.splats.cpu.losses.ssim import SIGMA, WINDOW, window
+from tdgbench.splats.cpu.simd.reductions import difference_sum, row_sum
 
 
 def test_gradient_is_a_difference_quotient_and_the_same_on_any_number_of_threads():

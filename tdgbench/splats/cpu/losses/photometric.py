@@ -17,8 +17,8 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.losses import ssim
 from tdgbench.splats.cpu.losses.masks import apply_mask, pixel_weights, without_masked
-from tdgbench.splats.cpu.losses.row_sums import difference_sum, row_sum
 from tdgbench.splats.cpu.losses.smoothness import add_difference_gradient, neighbour_differences
+from tdgbench.splats.cpu.simd.reductions import difference_sum, row_sum
 
 F, U = np.float32, np.uint64
 TAPS, RADIUS = ssim.WINDOW, ssim.WINDOW // 2

@@ -10,7 +10,7 @@ import numpy as np
 
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.losses.masks import weight_of_pair
-from tdgbench.splats.cpu.losses.row_sums import difference_sum
+from tdgbench.splats.cpu.simd.reductions import difference_sum
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
