@@ -28,10 +28,9 @@ def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
     on_loaded: called once everything that the command needs is imported.
     """
     if words and words[0] in TOOLS:
-        from tdgbench.experiments import experiment  # noqa: F401 (what tools need)
-
+        tool = TOOLS[words[0]].load()
         on_loaded()
-        return TOOLS[words[0]].run(words[1:])
+        return tool(words[1:])
     if words and "=" not in words[0] and words[0][:1] not in "-+~":
         say(f"tdgbench: no tool {words[0]!r} (tools: {', '.join(TOOLS)}); see tdgbench --help", stderr=True)
         return 2

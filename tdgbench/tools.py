@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from dataclasses import dataclass
 
 
@@ -18,8 +19,10 @@ class Tool:
     module: str
     main: str = "main"
 
-    def run(self, arguments: list[str]) -> int:
-        return getattr(importlib.import_module(self.module), self.main)(arguments)
+    def load(self) -> Callable[[list[str]], int]:
+        """Import the tool, and return what runs it with arguments."""
+        main: Callable[[list[str]], int] = getattr(importlib.import_module(self.module), self.main)
+        return main
 
 
 TOOLS = {

@@ -28,6 +28,7 @@ HASHED = (  # folders and files
     "tdgbench/training",
     "tdgbench/scoring",
     "tdgbench/thermal",
+    "tdgbench/bench/init",
     "tdgbench/bench/setup.py",
     "methods",
 )

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft, ndimage
+from scipy import ndimage
 
 from tdgbench.scenes.images import is_gray
 
@@ -85,6 +85,8 @@ def edge_correlation(pair: ViewPair) -> np.ndarray:
     norm = np.linalg.norm(rgb) * np.linalg.norm(thermal)
     if norm == 0:
         return np.zeros((2 * radius + 1, 2 * radius + 1))
+    from scipy import fft  # half a second, which a check without RGB images need not wait for
+
     shape = [fft.next_fast_len(size + radius, real=True) for size in rgb.shape]
     spectrum = np.conj(fft.rfft2(rgb, shape)) * fft.rfft2(thermal, shape)
     surface = np.roll(fft.irfft2(spectrum, shape), (radius, radius), axis=(0, 1))
