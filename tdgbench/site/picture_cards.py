@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from PIL import Image
 
+from tdgbench.cells.folder import RENDERS
 from tdgbench.cells.protocol import protocol_settings
 from tdgbench.present.view_pictures import grayed, middle_view, view_pictures
 from tdgbench.site.packed import Pack
@@ -47,7 +48,7 @@ def cards_of(packs: Sequence[Pack], dataset: str, scene: str) -> list[list[Card]
             column, views = method_label(cell.record, with_init=True), _test_views(cell)
             if cell.dataset_and_scene == (dataset, scene) and (column, views) not in columns:
                 columns.add((column, views))
-                renders = [h for n, h in sorted(cell.record.hashes.items()) if n.startswith("renders/")]
+                renders = [h for n, h in sorted(cell.record.hashes.items()) if n.startswith(f"{RENDERS}/")]
                 same = json.dumps([column, renders])
                 card = sections.setdefault(views, {}).setdefault(same, Card(column, cell, []))
                 card.packs.append(pack)
