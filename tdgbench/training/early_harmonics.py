@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
@@ -12,10 +12,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from tdgbench.scenes import Camera, Scene
 from tdgbench.training.curriculum import evenly_spread
 from tdgbench.training.images import Modality
-from tdgbench.training.rule import Rule
-
-if TYPE_CHECKING:  # it has the rule
-    from tdgbench.training.budget import Budget
+from tdgbench.training.rule import BudgetLike, Rule
 
 MOST_VIEWS = 8  # whose noise is measured
 MOST_POINTS = 2000
@@ -36,7 +33,7 @@ class HarmonicsRule(Rule):
     most_noise: NonNegativeFloat  # standard deviation, of an image's values in [0, 1]
     most_angle: Annotated[float, Field(ge=0, le=180)]  # degrees, between directions from which a point is seen
 
-    def adaptation(self, scene: Scene, images: Modality) -> Callable[[Budget], Budget]:
+    def adaptation(self, scene: Scene, images: Modality) -> Callable[[BudgetLike], BudgetLike]:
         return self._sooner if self.applies(scene, images) else super().adaptation(scene, images)
 
     def applies(self, scene: Scene, images: Modality) -> bool:
@@ -50,7 +47,7 @@ class HarmonicsRule(Rule):
         cameras = [view.camera for view in scene.train]
         return noise <= self.most_noise and viewing_angle(scene.points.points, cameras) <= self.most_angle
 
-    def _sooner(self, budget: Budget) -> Budget:
+    def _sooner(self, budget: BudgetLike) -> BudgetLike:
         if budget.sh_degree == 0:
             return budget
         settling = budget.settling

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from pydantic import NonNegativeFloat, NonNegativeInt, PositiveInt
 
 from tdgbench.training.part import State, Stopping
-from tdgbench.training.rule import Rule
+from tdgbench.training.rule import Rule, Watched
 from tdgbench.training.skips import Finished, Skip
-
-if TYPE_CHECKING:  # it asks the rule
-    from tdgbench.training.trainer import Trainer
 
 
 @dataclass(frozen=True)
@@ -30,8 +26,8 @@ class PlateauRule(Rule):
     gain: NonNegativeFloat  # relative
     after: NonNegativeInt  # earliest iteration
 
-    def stopping(self, trainer: Trainer) -> Stopping:
-        return Plateau(self, len(trainer.context.scene.train))
+    def stopping(self, stage: Watched) -> Stopping:
+        return Plateau(self, stage.views)
 
     def account(self, skip: Skip, training: Finished) -> None:
         is_asked = not any(curriculum.settled_at for curriculum, _ in training.curricula)

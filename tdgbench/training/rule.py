@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
 
 from torch import Tensor
 
@@ -13,13 +13,10 @@ from tdgbench.splats.density import GrowthDecision
 from tdgbench.splats.view import Pinhole
 from tdgbench.training.curriculum import Curriculum, Resolution
 from tdgbench.training.images import Modality
-from tdgbench.training.part import Stopping
+from tdgbench.training.part import Part, Stopping
 from tdgbench.training.skips import Finished, Skip
 
-if TYPE_CHECKING:  # they ask the rules
-    from tdgbench.training.budget import Budget
-    from tdgbench.training.trainer import Trainer
-
+BudgetLike = Any  # a `tdgbench.training.budget.Budget`, whose module imports the rules
 DecideGrowth = Callable[[Gaussians, int, int], GrowthDecision]  # of Gaussians, the SH degree in use, the round's number
 
 
@@ -32,6 +29,16 @@ class ModelInputs(NamedTuple):
     backend: str
     background: Tensor | None = None  # (C,) behind the Gaussians; None: black
     camera_of: Callable[[Camera], Camera] = lambda camera: camera  # the camera that took a view's image, of the view's
+
+
+class Watched(NamedTuple):
+    """A stage that a rule may end; where rules watch modalities, its models of one."""
+
+    iterations: int  # of the stage's budget
+    views: int  # training views
+    curriculum: Curriculum
+    parts: Mapping[str, Part]
+    psnr_of: Callable[[View], float]  # of a render of a view at full resolution, dB
 
 
 class Rule:
@@ -56,7 +63,7 @@ class Rule:
         """
         return []
 
-    def adaptation(self, scene: Scene, images: Modality) -> Callable[[Budget], Budget]:
+    def adaptation(self, scene: Scene, images: Modality) -> Callable[[BudgetLike], BudgetLike]:
         """Return the function that changes the budget of models of a modality, or returns it as it is."""
         return lambda budget: budget
 
@@ -64,8 +71,8 @@ class Rule:
         """Return the function that decides which Gaussians of a model grow; None: density control's threshold does."""
         return None
 
-    def stopping(self, trainer: Trainer) -> Stopping | None:
-        """Return what may end the trainer's current stage early. The first rule that returns one decides."""
+    def stopping(self, stage: Watched) -> Stopping | None:
+        """Return what may end a stage early. The first rule that returns one decides."""
         return None
 
     def warm_up(self, gaussians: Gaussians, camera: Pinhole, backend: str) -> None:

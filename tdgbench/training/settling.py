@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
@@ -14,11 +13,8 @@ from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 from tdgbench.scenes import View
 from tdgbench.training.curriculum import Curriculum, evenly_spread
 from tdgbench.training.part import Part, State, Stopping
-from tdgbench.training.rule import Rule
+from tdgbench.training.rule import Rule, Watched
 from tdgbench.training.skips import Finished, Skip
-
-if TYPE_CHECKING:  # it asks the rule
-    from tdgbench.training.trainer import Trainer
 
 IN_A_ROW = 2  # resolutions that are no better: one alone may still suffer from the change
 
@@ -64,14 +60,8 @@ class SettlingRule(Rule):
             return []
         return evenly_spread(views, min(max(self.fewest, round(self.share * len(views))), self.most, len(views) // 4))
 
-    def stopping(self, trainer: Trainer) -> Stopping:
-        context, settling = trainer.context, dict[str, Settling]()
-        for modality, curriculum in context.curricula.items():
-            rule = context.adapted(context.budget, modality).settling
-            assert rule is not None  # as the stage's
-            psnr, parts = partial(trainer.psnr_of, modality=modality), context.parts_trained_on(modality)
-            settling[modality] = Settling(rule, context.budget.iterations, curriculum, parts, psnr)
-        return AllSettled(settling) if len(settling) > 1 else settling[context.modality]
+    def stopping(self, stage: Watched) -> Stopping:
+        return Settling(self, stage.iterations, stage.curriculum, stage.parts, stage.psnr_of)
 
     def account(self, skip: Skip, training: Finished) -> None:
         is_early = any(0 < curriculum.settled_at < self.latest(length) for curriculum, length in training.curricula)
@@ -190,7 +180,7 @@ class AllSettled(Stopping):
 
     reads_loss = False
 
-    def __init__(self, rules: Mapping[str, Settling]) -> None:
+    def __init__(self, rules: Mapping[str, Stopping]) -> None:
         """rules: by modality."""
         self.rules = rules
 

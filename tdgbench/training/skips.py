@@ -6,17 +6,14 @@ null.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 from tdgbench.scenes import Scene
 from tdgbench.splats.density import DensityChange
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.training.curriculum import Curriculum
-
-if TYPE_CHECKING:  # its rules report their skips
-    from tdgbench.training.budget import Budget
 
 
 @dataclass
@@ -104,13 +101,32 @@ class Work:
             setattr(self, name, getattr(self, name) + getattr(change, name))
 
 
+class Reporting(Protocol):
+    """What `tdgbench.training.rule.Rule` reports."""
+
+    def account(self, skip: Skip, training: Finished) -> None:
+        """Decide the skip of a finished training."""
+
+
+class Planned(Protocol):
+    """What the account reads of a `tdgbench.training.budget.Budget`."""
+
+    @property
+    def iterations(self) -> int:
+        """Iterations at most."""
+
+    @property
+    def skip_rules(self) -> Mapping[str, Reporting | None]:
+        """Rules that are skips; None: it is off."""
+
+
 class Finished(NamedTuple):
     """A training that is over."""
 
     scene: Scene
     method: str  # its name
     trains_on_rgb: bool
-    budget: Budget
+    budget: Planned
     iterations: int  # trained
     curricula: list[tuple[Curriculum, int]]  # of each stage and modality, with the iterations of the stage's budget
     work: list[Work]  # of each set of Gaussians

@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import numpy as np
 import torch
 
 from tdgbench.scenes import View
+from tdgbench.training.budget import RULES
 from tdgbench.training.context import Context
 from tdgbench.training.images import MODALITIES, THERMAL
 from tdgbench.training.method import Method, Stage
-from tdgbench.training.part import Part, Report, State
+from tdgbench.training.part import Part, Report, State, Stopping
 from tdgbench.training.rig import Rig
+from tdgbench.training.rule import Watched
+from tdgbench.training.settling import AllSettled
 from tdgbench.training.splat_model import SplatModel
 
 MIN_MSE = 1e-10
@@ -43,8 +47,26 @@ class Trainer:
         self.context = self.whole_context.for_stage(self.stage_number, self.stage.share, self.stage.modality, self._rig)
         self.contexts.append(self.context)
         self.stage.setup(self.context)
-        found = (rule.stopping(self) for rule in self.context.budget.active_rules)
+        found = (self._stopping_by(name) for name in RULES)
         self.stopping = next((stopping for stopping in found if stopping is not None), None)
+
+    def _stopping_by(self, name: str) -> Stopping | None:
+        """Return what may end the stage by a rule of the budget; where it watches modalities, by all of them."""
+        context, rule = self.context, self.context.budget.rules[name]
+        if rule is None:
+            return None
+        modalities = list(context.curricula) if rule.watches_modalities else [context.modality]
+        found: dict[str, Stopping] = {}
+        for modality in modalities:
+            adapted = context.adapted(context.budget, modality).rules[name] or rule
+            parts, psnr_of = context.parts_trained_on(modality), partial(self.psnr_of, modality=modality)
+            watched = Watched(
+                context.budget.iterations, len(context.scene.train), context.curriculum(modality), parts, psnr_of
+            )
+            stopping = adapted.stopping(watched)
+            if stopping is not None:
+                found[modality] = stopping
+        return AllSettled(found) if len(found) > 1 else next(iter(found.values()), None)
 
     @property
     def stage(self) -> Stage:
