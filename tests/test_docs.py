@@ -197,7 +197,8 @@ def test_the_architecture_picture_is_what_its_script_draws():
 
 def test_one_version():
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
-    versions = re.findall(r"^## \[(.+)\] (\d{4}-\d\d-\d\d)$", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    heading = r"^## \[(.+)\] (\d{4}-\d\d-\d\d)(?:, `[0-9a-f]{8}`)?$"
+    versions = re.findall(heading, (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
     assert versions[0] == (__version__, cited["date-released"].isoformat()) and cited["version"] == __version__
     assert versions == sorted(versions, key=lambda version: [int(part) for part in version[0].split(".")], reverse=True)
 

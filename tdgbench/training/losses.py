@@ -11,14 +11,14 @@ pixel is valid.
 
 from __future__ import annotations
 
-from torch import Tensor
+import torch
 
 from tdgbench.splats import torch_losses
 from tdgbench.splats.backends import backend_for
 from tdgbench.splats.torch_losses import LossWeights
 
 
-def l1(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
+def l1(image: torch.Tensor, target: torch.Tensor, valid: torch.Tensor | None = None) -> torch.Tensor:
     """Return the mean absolute error of images (H, W, C).
 
     >>> l1(torch.full((4, 4, 1), 0.75), torch.full((4, 4, 1), 0.5)).item()
@@ -27,7 +27,7 @@ def l1(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
     return l1_and_dssim(image, target, 1.0, 0.0, valid)
 
 
-def ssim(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
+def ssim(image: torch.Tensor, target: torch.Tensor, valid: torch.Tensor | None = None) -> torch.Tensor:
     """Return the mean SSIM of images (H, W, C) with zero padding, as in 3DGS.
 
     >>> image = torch.rand(16, 16, 3)
@@ -37,14 +37,21 @@ def ssim(image: Tensor, target: Tensor, valid: Tensor | None = None) -> Tensor:
     return 1.0 - l1_and_dssim(image, target, 0.0, 1.0, valid)
 
 
-def photometric(image: Tensor, target: Tensor, lambda_ssim: float, valid: Tensor | None = None) -> Tensor:
+def photometric(
+    image: torch.Tensor, target: torch.Tensor, lambda_ssim: float, valid: torch.Tensor | None = None
+) -> torch.Tensor:
     """Return (1 − λ) L1 + λ (1 − SSIM) of images (H, W, C): 3DGS, eq. 7."""
     return l1_and_dssim(image, target, 1 - lambda_ssim, lambda_ssim, valid)
 
 
 def thermal_loss(
-    image: Tensor, target: Tensor, lambda_ssim: float, lambda_smooth: float, reading: str, valid: Tensor | None = None
-) -> Tensor:
+    image: torch.Tensor,
+    target: torch.Tensor,
+    lambda_ssim: float,
+    lambda_smooth: float,
+    reading: str,
+    valid: torch.Tensor | None = None,
+) -> torch.Tensor:
     """Return the thermal loss (TDg, eq. 5, after ThermalGaussian) of images (H, W, C).
 
     (1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_smooth L_smooth, the last in one of the readings of `smoothness`.
@@ -58,13 +65,15 @@ def thermal_loss(
 
 
 def l1_and_dssim(
-    image: Tensor, target: Tensor, l1_weight: float, dssim_weight: float, valid: Tensor | None = None
-) -> Tensor:
+    image: torch.Tensor, target: torch.Tensor, l1_weight: float, dssim_weight: float, valid: torch.Tensor | None = None
+) -> torch.Tensor:
     """Return l1_weight · L1 + dssim_weight · (1 − SSIM) of images (H, W, C); raise ValueError if the shapes differ."""
     return _image_loss(image, target, LossWeights(l1_weight, dssim_weight), valid)
 
 
-def _image_loss(image: Tensor, target: Tensor, weights: LossWeights, valid: Tensor | None) -> Tensor:
+def _image_loss(
+    image: torch.Tensor, target: torch.Tensor, weights: LossWeights, valid: torch.Tensor | None
+) -> torch.Tensor:
     if image.shape != target.shape:
         raise ValueError(f"the images to compare are {tuple(image.shape)} and {tuple(target.shape)}")
     if valid is not None and valid.shape != image.shape[:2]:
@@ -72,7 +81,7 @@ def _image_loss(image: Tensor, target: Tensor, weights: LossWeights, valid: Tens
     return backend_for(image).image_loss(image, target, weights, valid)
 
 
-def smoothness(image: Tensor, reading: str, valid: Tensor | None = None) -> Tensor:
+def smoothness(image: torch.Tensor, reading: str, valid: torch.Tensor | None = None) -> torch.Tensor:
     """Return the mean difference of neighbouring pixels of an image (H, W, C), in one of two readings.
 
     `written` (TDg, eq. 6): sum over the 4 neighbours inside the image, divided by 4 M (M: pixels and channels).
@@ -92,7 +101,7 @@ def _check_reading(reading: str) -> None:
         raise ValueError(f"smoothness reading is {reading!r}; it must be 'written' or 'released'")
 
 
-def min_max(values: Tensor) -> Tensor:
+def min_max(values: torch.Tensor) -> torch.Tensor:
     """Normalise a map (H, W) to [0, 1] by its extremes (TDg, before eq. 4), which get gradients, too.
 
     A map without range becomes zero, with zero gradient.
@@ -103,7 +112,7 @@ def min_max(values: Tensor) -> Tensor:
     return backend_for(values).min_max(values)
 
 
-def inverse_expected_depth(depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:
+def inverse_expected_depth(depth: torch.Tensor, transmittance: torch.Tensor, min_alpha: float) -> torch.Tensor:
     """Return 1 / (expected z) = alpha / accumulated z, maps (H, W); 0, infinitely far, where alpha ≤ min_alpha.
 
     >>> inverse_expected_depth(torch.tensor([[1.0, 0.0]]), torch.tensor([[0.5, 1.0]]), 1e-3).tolist()

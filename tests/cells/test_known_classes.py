@@ -122,7 +122,7 @@ def test_a_method_that_ends_the_process_is_no_success(small_results, tmp_path, r
 
 def test_a_file_that_a_record_names_is_not_read(small_results, tmp_path):
     """Methods that read renders and models of others have these files as options."""
-    for target, options in (("methods.trained_model.TrainedModel", {"rgb": None, "fields": "3dgs"}),
+    for target, options in (("methods.model.Model", {"rgb": None, "fields": "3dgs"}),
                             ("methods.renders.Renders", {"layout": "views"})):  # fmt: skip
         where = {"ply" if "Model" in target else "folder": str(tmp_path / "secret")}
         cell = theirs(tmp_path, small_results, target, **options, **where)

@@ -34,7 +34,7 @@ LEAST, TIE = 0.1, 0.02  # correlation of a render with its own image; lead of an
 LEAST_SHARE = 0.8
 
 
-class TrainedModel(Method):
+class Model(Method):
     """Gaussians at the SH degree of their file, over the budget's background: black, as all 3DGS programs have it."""
 
     trains = False
