@@ -155,7 +155,7 @@ class Renders(Method):
                 first, second = by_view[view][:2]
                 raise SceneError(f"{second} and {first.name} are both of view {view}; keep one of them")
         missing = {view for view in views if not by_view[view]}
-        unknown += [path.name for view in by_view.keys() - set(views) for path in by_view[view]]
+        unknown += [path.name for view in sorted(by_view.keys() - set(views)) for path in by_view[view]]
         if missing or unknown:
             problems = [f"test views without a file: {_some(missing)}"] * bool(missing)
             problems += [f"files of no test view of {scene.name}: {_some(unknown)}"] * bool(unknown)

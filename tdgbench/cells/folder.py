@@ -211,9 +211,11 @@ class CellFolder:
         """Whether the method has parts beside its Gaussians that rendering needs."""
         return (self.folder / PARTS_FILE).exists()
 
-    @cached_property
     def method(self) -> StoredMethod:
-        """The method with its stored parts. Raises ValueError, naming file or method, if they cannot be restored."""
+        """Return the method with its stored parts, which take as much memory as in training; they are not kept.
+
+        Raises ValueError, naming file or method, if they cannot be restored.
+        """
         return StoredMethod(self.folder, self.record, self.cameras)
 
     def model(self, modality: str) -> Gaussians:
@@ -235,7 +237,7 @@ class CellFolder:
         gaussians: the stored ones, if they are loaded already. Raises ValueError, naming the file, for unusable ones.
         """
         if self.has_parts:
-            method = self.method
+            method = self.method()
             return lambda view: method.render_from(self.test_cameras[view], modality, view)
         stored = self.model(modality) if gaussians is None else gaussians
         return lambda view: render_model(

@@ -63,7 +63,6 @@ def rasterization(
     if render_mode in ("D", "ED"):
         gaussians, backgrounds = gaussians._replace(colors=colors.new_zeros(len(means), 0), sh_degree=None), None
     behind = [None] * len(viewmats) if backgrounds is None else backgrounds
-    behind = [None] * len(viewmats) if backgrounds is None else backgrounds
     views = [
         render_view(
             gaussians, Pinhole(viewmat, K, width, height, near_plane, far_plane, eps2d), depth="D" in render_mode,

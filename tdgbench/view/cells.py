@@ -131,7 +131,7 @@ def _method_of(cell: CellFolder) -> tuple[StoredMethod | None, str]:
     if not cell.has_parts:
         return None, ""
     try:
-        return cell.method, ""
+        return cell.method(), ""
     except UnknownMethodError as error:
         return None, f"its Gaussians alone, not what its method renders: {error}"
 

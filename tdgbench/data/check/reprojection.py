@@ -35,13 +35,13 @@ def wrong_views(scene: Scene) -> list[str]:
     ids, xyz, problems = points.ids, points.points + scene.origin, []
     for image, camera in views:
         shown = image.points[image.points["point"] != NO_POINT]
-        shown = shown[:: max(1, -(-len(shown) // MOST))]
         place = np.searchsorted(ids, shown["point"])
         known = place < len(ids)
         known[known] = ids[place[known]] == shown["point"][known]
         if known.sum() < FEWEST:
             continue
-        errors = _errors(image, camera, shown["xy"][known], xyz[place[known]])
+        sample = np.flatnonzero(known)[:: -(-known.sum() // MOST)]
+        errors = _errors(image, camera, shown["xy"][sample], xyz[place[sample]])
         share = float(np.median(errors)) / float(np.hypot(camera.width, camera.height))
         if share > FAR:
             off = f"project {share:.0%} of the diagonal off" if np.isfinite(share) else "lie behind it"

@@ -124,8 +124,10 @@ def _pair(images: _Images, thermal_alone: bool, sources: Sources) -> None:
             sources.views.append(ViewFiles(view, path, photo, computed_of(path)))
         else:
             sources.left_out[path] = unclear.get(view, f"no RGB image is named {view}")
-    for view in rgb.keys() - thermal.keys() - set(by_number.values()):
-        sources.left_out[rgb[view]] = f"no thermal image is named {view}"
+    paired = thermal.keys() | set(by_number.values())
+    for view, path in rgb.items():  # in the files' order: a stage's key holds what is left out
+        if view not in paired:
+            sources.left_out[path] = f"no thermal image is named {view}"
     if by_number:
         sources.notes.append(f"{len(by_number)} pairs differ by up to 2 s in their names: paired by the running number")
     if count := sum(one.origin is not None for one in sources.views):

@@ -1,3 +1,7 @@
+import os
+import signal
+import subprocess
+import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -8,6 +12,13 @@ from PIL import Image
 
 from tdgbench.data.prepare import prepare, sfm
 from tdgbench.data.prepare.stages import Stages
+from tests.helpers.command import tdgbench_here
+from tests.helpers.paths import ROOT
+from tests.helpers.relief import FOCAL, places, write_relief
+from tests.helpers.waiting import waited
+
+COMMAND = ("data", "prepare", "camera", "out", "--sfm", "thermal", "--focal", str(FOCAL), "--threads", "1")
+STEPS = "files to read", "features of images", "pairs of images to match", "images to register", "views to write"
 
 
 def test_a_changed_input_starts_again_from_its_stage(tmp_path):
@@ -66,3 +77,48 @@ def test_pairs_that_are_matched_stay_when_a_run_is_stopped(tmp_path, monkeypatch
     assert len(first) == 4 and len(last) == 2 and stopped == last
     with pycolmap.Database.open(database) as stored:
         assert stored.num_verified_image_pairs() == 6
+
+
+@pytest.mark.slow
+def test_killed_at_five_moments_it_ends_with_the_same_bytes(tmp_path):
+    """Each run is killed in a later step than the one before. None repeats a finished step or a matched pair."""
+    for name in ("killed", "whole"):
+        write_relief(tmp_path / name / "camera", places(4, 3))
+    pairs = [begun_until(step, tmp_path / "killed", STEPS[max(index - 1, 0) : index + 1])
+             for index, step in enumerate(STEPS)]  # fmt: skip
+    assert pairs[2] == 66 and pairs[3] <= 66 - 64
+    content = {}
+    for name, begun in (("killed", STEPS[4:]), ("whole", STEPS)):
+        run = tdgbench_here(tmp_path / name, *COMMAND)
+        assert run.returncode == 0, run.stderr
+        assert [step for step in STEPS if f"{step}: " in run.stdout] == list(begun)
+        assert sorted(path.name for path in (tmp_path / name).iterdir()) == [".out.lock", "camera", "out"]
+        files = (path for path in (tmp_path / name / "out").rglob("*") if path.is_file())
+        content[name] = {str(path.relative_to(tmp_path / name)): path.read_bytes() for path in files}
+    assert content["killed"] == content["whole"] and len(content["killed"]) > 12
+    assert "COLMAP registers 12 images" in content["killed"]["out/report.txt"].decode()
+
+
+def begun_until(step, folder, expected):
+    """Run the command until it is in the step; kill it. Return the number of pairs to match, if it begins with them."""
+    found, pairs = [], None
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen([sys.executable, "-m", "tdgbench", *COMMAND], cwd=folder, env=environment,
+                          stdout=subprocess.PIPE, text=True) as run:  # fmt: skip
+        for line in run.stdout:
+            name, _, what = line.strip().partition(": ")
+            if name in STEPS and not what.startswith("done"):
+                found.append(name)
+                pairs = int(what) if name == STEPS[2] else pairs
+            if name == step:
+                if step == STEPS[2]:
+                    waited(lambda: in_second_batch(folder), 60, "a second batch of pairs")
+                run.kill()
+                break
+    assert run.returncode == -signal.SIGKILL and found == list(expected)
+    return pairs
+
+
+def in_second_batch(folder):
+    lists = [path.read_text(encoding="utf-8") for path in folder.glob(".out.work/matches-*/pairs.txt")]
+    return any(lists) and not lists[0].startswith("000000.png 000001.png")
