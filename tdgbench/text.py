@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
+from typing import Any
 
 MOST_NAMED = 5  # names in a message
 FORMULA = ("=", "+", "-", "@", "'", "\t", "\r", "\n")  # a spreadsheet would run what begins with one of them
@@ -64,3 +66,14 @@ def from_csv(field: str) -> str:
     ['=1+1', "'a'", 'Truck']
     """
     return field.removeprefix("'")
+
+
+def as_typed(value: Any) -> str:
+    """Return a value as on the command line.
+
+    >>> as_typed(None), as_typed(True), as_typed("a b"), as_typed("")
+    ('null', 'true', 'a b', "''")
+    """
+    if isinstance(value, str):
+        return value if value else "''"
+    return str(value) if isinstance(value, float) else json.dumps(value, default=str)

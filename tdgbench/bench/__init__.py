@@ -1,1 +1,1 @@
-"""Cells: keys, locks, runs, files, records and failures."""
+"""Running a cell: options, locks, phases, failures, and its line on the terminal."""

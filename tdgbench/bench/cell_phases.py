@@ -69,7 +69,7 @@ class TrainedCell(NamedTuple):
 
 
 class CellRun(SetupObserver):
-    """One run of a cell: `identify`, `load`, `train`, `write` fill in the record; each takes what the last returns."""
+    """One run of a cell: `identify`, `load`, `train`, `write` fill in the record, each from the phase before."""
 
     def __init__(self, cfg: DictConfig, record: Record, experiment: Path, progress: CellProgress) -> None:
         self.cfg, self.record, self.experiment, self.progress = cfg, record, experiment, progress

@@ -26,7 +26,7 @@ VIEWS_A_THREAD = 2  # training views that are rendered before they are scored to
 def score_views(trainer: Trainer, scene: Scene, scorer: Scorer, response: ImageResponse = IDEAL) -> dict[str, Scores]:
     """Render and score the test views of a scene; scores by view and metric, None where a metric has no value.
 
-    Nothing is said on what the training views determine, which takes a pass over all of them.
+    Determinacy is left out: it takes a pass over all training views.
     """
     return scorer.score(scene, {view.name: render_images(trainer, view, response) for view in scene.test})
 

@@ -8,7 +8,6 @@ mistyped option comes with those that it may have meant.
 from __future__ import annotations
 
 import inspect
-import json
 import math
 import re
 import types
@@ -25,6 +24,7 @@ from pydantic_core import ErrorDetails
 
 from tdgbench.cells.record import LARGEST
 from tdgbench.resources import conf_folder
+from tdgbench.text import as_typed
 
 SCALARS = (int, float, bool, str, type(None), Any)
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
@@ -120,17 +120,6 @@ def impossible_numbers(value: Any, name: str) -> Iterator[Problem]:
         yield Problem(name, f"must be at most {LARGEST}" if value > 0 else f"must be at least {-LARGEST}", value)
     for key, item in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
         yield from impossible_numbers(item, option_path(name, key))
-
-
-def as_typed(value: Any) -> str:
-    """Return a value as on the command line.
-
-    >>> as_typed(None), as_typed(True), as_typed("a b"), as_typed("")
-    ('null', 'true', 'a b', "''")
-    """
-    if isinstance(value, str):
-        return value if value else "''"
-    return str(value) if isinstance(value, float) else json.dumps(value, default=str)
 
 
 @cache

@@ -6,13 +6,12 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-from tdgbench.bench.signature import as_typed
 from tdgbench.cells.ground_truth import views_with_other_truth
 from tdgbench.cells.key import flat
 from tdgbench.cells.protocol import MEASURED_ON
 from tdgbench.cells.record import Record
 from tdgbench.compare.compared_cells import ComparedCell
-from tdgbench.text import one_line
+from tdgbench.text import as_typed, one_line
 
 PROTOCOL, TRAINING, MACHINE = "protocol", "training", "machine"
 KINDS = {

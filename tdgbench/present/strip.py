@@ -19,7 +19,7 @@ TITLE: dict[str, Any] = {"fontsize": 8, "y": 1.0}  # with a fixed height, matplo
 
 
 def draw_strip(cells: Sequence[CellFolder], target: Path) -> bool:
-    """Draw renders of finished cells; False if there are none. A picture that is unusable is n/a."""
+    """Draw renders of finished cells; an unusable picture is shown as n/a. Return whether there was a cell to draw."""
     if not cells:
         return False
     scenes = list(dict.fromkeys((c.record.dataset, c.record.scene, c.record.split) for c in cells))

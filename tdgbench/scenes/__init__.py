@@ -1,4 +1,4 @@
-"""Input: scenes, views, cameras, sparse points; a loader per data set. Imports nothing of tdgbench but `text`."""
+"""Input: scenes, views, cameras, sparse points; a loader per data set. Imports `files`, `ply` and `text` alone."""
 
 from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.datasets import Dataset, FolderDataset, RegisteredDataset

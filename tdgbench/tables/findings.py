@@ -62,7 +62,7 @@ def _caveats(main: pd.DataFrame) -> Iterable[str]:
 def published(differences: pd.DataFrame) -> str:
     """Say how many published scores are reproduced, and what would decide the others. differences: difference.csv.
 
-    Of one seed nothing is decided, so that all wait for more of them.
+    With one seed, every verdict waits for more seeds.
     """
     judged = comparable(differences)
     known = judged[judged["difference"].notna()]

@@ -37,7 +37,10 @@ def image_values(records: Iterable[Record]) -> str:
 def with_image_values(
     table: pd.DataFrame, records: Iterable[Record], method: Callable[[Record], str] = attrgetter("method")
 ) -> pd.DataFrame:
-    """Return the table with COLUMN, of the finished cells that each row is of. method: column `method` of a cell."""
+    """Return the table with COLUMN: what the images of the finished cells behind each row show.
+
+    method: the text of a cell in the column `method`.
+    """
     return with_text_of_cells(table, records, {COLUMN: image_values}, method)
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pandas as pd
 
-from tdgbench.bench.signature import as_typed
 from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.key import flat
 from tdgbench.cells.paths import RECORD_FILE, VIEWS_FILE, cell_folder_of
@@ -20,6 +19,7 @@ from tdgbench.cells.protocol import protocols_apart
 from tdgbench.cells.record import READ_PHASE, Failure, Record, no_records, read_each
 from tdgbench.scoring import METRICS
 from tdgbench.tables.long_table import method_label, planned_iterations
+from tdgbench.text import as_typed
 
 UNNAMED = "single"  # `name` in conf/config.yaml: runs of any scenes, which make no table together
 

@@ -64,7 +64,7 @@ class Rule:
         return []
 
     def adaptation(self, scene: Scene, images: Modality) -> Callable[[BudgetLike], BudgetLike]:
-        """Return the function that changes the budget of models of a modality, or returns it as it is."""
+        """Return a function from the budget of models of a modality to that they train with; by default, the same."""
         return lambda budget: budget
 
     def growth(self, model: ModelInputs) -> DecideGrowth | None:

@@ -25,8 +25,8 @@ class SettlingRule(Rule):
 
     Every `every` iterations the held-out views are rendered: a check. A window is a share of the checks at the current
     resolution. The training stalls when the last window gains less than `gain` on the window before. At the full
-    resolution, a stall gains less by the gain's standard error, so that noise hides no gain, and no check counts before
-    `last_after`, since nothing has grown.
+    resolution, a window stalls only if its gain plus one standard error is below `gain`, so that noise hides no gain.
+    No check counts before `last_after`, since nothing has grown.
 
     A stall below the full resolution ends that resolution. The training settles after two resolutions in a row without
     a new best, or at the full resolution once the windows of stalls in a row cover `stalled_checks`. It settles at the

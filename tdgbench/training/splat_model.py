@@ -178,8 +178,9 @@ class SplatModel(Part):
     def step(self, iteration: int) -> Callable[[], str | None] | str | None:
         """Do density control, then an Adam step.
 
-        After a round of density control there is no step, after a reset none of the opacities. A gradient that is named
-        as not finite has been used already. Raises EmptyModelError if no Gaussian is left.
+        After a round of density control there is no step, after a reset none of the opacities. If the returned text
+        names a gradient that is not finite, the step has already been made with it.
+        Raises EmptyModelError if no Gaussian is left.
         """
         views, self._views = self._views, []
         gradients, statistics = self._gradients_of(views, iteration)

@@ -1,4 +1,4 @@
-"""Files of pixels: each format is a module and a line of FORMATS; the first that fits reads a file.
+"""Files of pixels: each format is a module, named in FORMATS; the first that fits reads a file.
 
 Libraries decode. What a file states of its pixels (channels, bits, pages, alpha, no-data) is honoured or refused.
 """
