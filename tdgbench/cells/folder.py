@@ -26,7 +26,7 @@ from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scoring import RenderedImages, Scores
 from tdgbench.splats.gaussians import Gaussians
-from tdgbench.splats.ply import load_ply
+from tdgbench.splats.ply import count_rows, load_ply
 from tdgbench.splats.view import Render
 
 TARGETS = files_of(THERMAL).targets
@@ -225,6 +225,10 @@ class CellFolder:
     def model_files(self) -> list[str]:
         """Return the names of files of Gaussians, whether or not the record knows them."""
         return sorted(path.name for path in self.folder.glob("model*.ply"))
+
+    def model_rows(self, name: str) -> int:
+        """Return the number of Gaussians that a file of `model_files` states. Raises as `model`."""
+        return count_rows(self.folder / name, self.folder)
 
     def models(self) -> dict[str, Gaussians]:
         """Return the stored Gaussians by modality. Raises as `model`."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import pandas as pd
 
@@ -21,6 +22,7 @@ from tdgbench.scoring import METRICS
 from tdgbench.tables.long_table import method_label, planned_iterations
 from tdgbench.text import as_typed
 
+Table = TypeVar("Table")
 UNNAMED = "single"  # `name` in conf/config.yaml: runs of any scenes, which make no table together
 
 
@@ -58,20 +60,22 @@ class Cell(CellFolder):
     @cached_property
     def log(self) -> pd.DataFrame | None:
         """The training log: iteration, seconds, smoothed_psnr (dB), loss_thermal, …; None if there is no usable one."""
-        try:
-            rows = self.read_log()
-        except (OSError, ValueError):
-            return None
+        rows = _usable(self.read_log)
         return pd.DataFrame(rows) if rows else None
 
     @cached_property
     def views(self) -> pd.DataFrame | None:
         """Scores by the view's name, NaN for n/a; None if there are no usable ones."""
-        try:
-            rows = self.read_views()
-        except (OSError, ValueError):
-            return None
-        return pd.DataFrame(list(rows.values()), list(rows), list(METRICS), dtype=float)
+        rows = _usable(self.read_views)
+        return None if rows is None else pd.DataFrame(list(rows.values()), list(rows), list(METRICS), dtype=float)
+
+
+def _usable(read: Callable[[], Table]) -> Table | None:
+    """Return the rows of a cell's file; None where it is missing or unusable."""
+    try:
+        return read()
+    except (OSError, ValueError):
+        return None
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ from tdgbench.cells.protocol import protocol_of
 from tdgbench.cells.record import Record, schema_problems
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.scoring import TRAIN_METRICS, Scores
-from tdgbench.splats.ply import count_rows
 
 TIME_TOLERANCE = 0.002  # s; times are rounded to milliseconds
 
@@ -80,7 +79,7 @@ def log_problems(record: Record, log: list[dict[str, float]]) -> Iterator[str]:
 
 def model_problems(cell: CellFolder) -> Iterator[str]:
     """Check models against the recorded number of Gaussians."""
-    folder, record = cell.folder, cell.record
+    record = cell.record
     needed = {THERMAL: None} if record.made_elsewhere is None else {}
     expected = {files_of(name).model: count for name, count in {**needed, **record.gaussians}.items()}
     for name in sorted({*expected, *cell.model_files()}):
@@ -89,7 +88,7 @@ def model_problems(cell: CellFolder) -> Iterator[str]:
             yield f"{RECORD_FILE}: gaussians has no count for {name}"
             continue
         try:
-            rows = count_rows(folder / name, folder)
+            rows = cell.model_rows(name)
             if rows != count:
                 yield f"{RECORD_FILE}: gaussians has {count} for {name}, which holds {rows}"
         except (OSError, ValueError) as error:
