@@ -257,7 +257,8 @@ def test_a_changed_bit_is_one_error(packed, tmp_path):
     with zipfile.ZipFile(packed) as archive:
         start = archive.getinfo(RECORD).header_offset + len(RECORD) + 30  # behind its header
         size = archive.getinfo(RECORD).compress_size
-    for at in range(start, start + size, max(1, size // 60)):
+    last = start + size - 1  # it ends in bits that deflate does not read
+    for at in range(start, last, max(1, size // 60)):
         (tmp_path / "b.zip").write_bytes(stored[:at] + bytes([stored[at] ^ 0x10]) + stored[at + 1 :])
         with pytest.raises(ValueError, match=r"b\.zip is no pack, or"):
             unpack(tmp_path / "b.zip", tmp_path / "theirs")
