@@ -162,6 +162,11 @@ class MMOne(OMMG):
         rules, points = context.budget.density, context.points
         if type(rules) is not DensityRules:
             raise ValueError(f"{self.name} has a density control of its own: leave out +density")
+        if context.budget.gaussians is not None:
+            raise ValueError(
+                f"{self.name} decomposes Gaussians, however many: give budget.density.max_gaussians=NUMBER, a limit, "
+                "instead of budget.gaussians"
+            )
         if rules.uses_absolute:
             raise ValueError(f"{self.name} adds up signed gradients: leave out budget.density.gradient=absolute")
         names = ("decompose", "decompose_threshold", "off_opacity", "active_opacity", "kept_opacity")

@@ -50,6 +50,7 @@ class DensityRules:
     reset_recovery: NonNegativeInt  # × every: the same for opacity resets
     max_gaussians: PositiveInt | None = None  # no growth beyond this
     gradient: GradientKind = "signed"  # to which `grad_threshold` applies
+    filled_at: NonNegativeInt | None = None  # iteration by which there are `max_gaussians`, whatever the threshold
 
     @property
     def uses_absolute(self) -> bool:
@@ -229,17 +230,15 @@ class DensityControl:
         by_gradients = self._by_gradients()
         decision = decision or by_gradients
         change.not_grown = int((by_gradients.grow & ~decision.grow).sum())
-        grow = decision.grow
-        if rules.max_gaussians is not None:
-            grow = strongest(grow, decision.strength, rules.max_gaussians - len(old))
-        clone, split = (grow & small).nonzero().squeeze(1), (grow & ~small).nonzero().squeeze(1)
-        change.cloned, change.split = len(clone), len(split)
-
         remove = self._is_transparent(old) | decision.at_camera
         if iteration > rules.opacity_reset_every:
             remove |= largest > rules.max_world_scale * self.extent
             if rules.screen_radius_prune:
                 remove |= self.max_radii > rules.max_screen_radius
+        grow = self._growing(decision, remove, iteration)
+        clone, split = (grow & small).nonzero().squeeze(1), (grow & ~small).nonzero().squeeze(1)
+        change.cloned, change.split = len(clone), len(split)
+
         change.pruned = int(remove.sum()) - int(remove[split].sum())
         remove[split] = True
         added = torch.cat([values[clone], self._children(values[split], generator)])
@@ -249,6 +248,21 @@ class DensityControl:
             drop |= new.log_scales.amax(dim=1).exp_() > rules.max_world_scale * self.extent
         change.pruned += int(drop.sum())
         return remove.nonzero().squeeze(1), added[~drop] if bool(drop.any()) else added
+
+    def _growing(self, decision: GrowthDecision, remove: Tensor, iteration: int) -> Tensor:
+        """Return which Gaussians (N,) a round clones or splits. remove: (N,) bool, which it prunes.
+
+        Where their number is given, the strongest grow, also below the threshold: as many as are missing, in equal
+        parts in the rounds that are left. Each adds one Gaussian, if it is split in two.
+        """
+        rules = self.rules
+        if rules.max_gaussians is None:
+            return decision.grow
+        if rules.filled_at is None:
+            return strongest(decision.grow, decision.strength, rules.max_gaussians - len(remove))
+        rounds = sum(self.is_round(later) for later in range(iteration, rules.filled_at + 1))
+        missing = rules.max_gaussians - int((~remove).sum())
+        return strongest(~remove, decision.strength, math.ceil(missing / max(rounds, 1)))
 
     def _is_transparent(self, gaussians: Gaussians) -> Tensor:
         """Return which Gaussians (n,) a round prunes for their opacity."""

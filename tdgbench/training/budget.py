@@ -29,6 +29,7 @@ class Budget:
     sh_every: PositiveInt  # iterations after which the SH degree in use rises by one
     rates: LearningRates
     density: DensityRules
+    gaussians: PositiveInt | None = None  # of each set, exactly, where growth allows; None: as many as `density` makes
     background: Literal["black", "mean"] = "black"  # behind the Gaussians; mean: of the training images
     lift_dark_every: PositiveInt | None = None  # iterations of SH degree 0 between calls of `Adam.lift_dark`
     harmonics: HarmonicsRule | None = None  # where the SH degree rises sooner; None: nowhere
@@ -57,6 +58,13 @@ class Budget:
     def schedule_length(self) -> int:
         """Iterations over which methods spread their schedules: those after which most trainings have ended."""
         return min(self.iterations, self.expected_iterations or self.iterations)
+
+    @property
+    def density_rules(self) -> DensityRules:
+        """Density control of a set of Gaussians; their number, if it is given, is reached by half of the schedule."""
+        if self.gaussians is None:
+            return self.density
+        return replace(self.density, max_gaussians=self.gaussians, filled_at=self.schedule_length // 2)
 
     def active_degree(self, iteration: int) -> int:
         """Return the SH degree in use at an iteration (1-based)."""

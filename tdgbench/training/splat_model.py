@@ -66,7 +66,7 @@ class SplatModel(Part):
         self.degree = 0
         unit = options.position_unit or extent
         self.optimizer = Adam(self.state, budget.rates, unit, options.learning_rates)
-        self.density = budget.density.control(extent, self.state, budget.iterations)
+        self.density = budget.density_rules.control(extent, self.state, budget.iterations)
         self.skips = skips or Skips()
         self.work = Work()
         self.decide_growth, self.background = options.decide_growth, options.background
@@ -150,6 +150,8 @@ class SplatModel(Part):
     def report(self) -> Report:
         behind = {} if self.background is None else {"background": self.background.tolist()}
         size = {"gaussians": len(self), "parameters": len(self) * self.state.columns}
+        if self.budget.gaussians is not None:
+            size["gaussians_asked"] = self.budget.gaussians
         degrees = {} if self.budget.harmonics is None else {"sh_every": self.budget.sh_every}
         counts = {**size, "cloned": self.work.cloned, "split": self.work.split}
         moved = {"relocated": self.work.relocated} if self.work.relocated else {}

@@ -1,7 +1,10 @@
+import pytest
 from hydra.utils import instantiate
 
 from tdgbench.training.budget import RULES
+from tdgbench.training.loop import train
 from tests.helpers.configs import config
+from tests.helpers.training import ready_to_train
 
 
 def budget(*overrides):
@@ -47,3 +50,15 @@ def test_no_rule_ends_a_trial():
     trial = lean.for_trial(70)
     assert trial.iterations == 70 and trial.settling is trial.plateau is None
     assert (trial.growth, trial.pixels, trial.harmonics) == (lean.growth, lean.pixels, lean.harmonics)
+
+
+@pytest.mark.parametrize(
+    ("method", "iterations", "asked", "had"),
+    [("tdg", 40, 431, 431), ("msmg", 40, 431, 431), ("3dgs", 13, 9999, 600)],  # 13: one round, in which each grows once
+)
+def test_each_set_has_the_number_that_is_given_exactly_where_growth_allows(small_scene, method, iterations, asked, had):
+    often = ("budget.density.start=4", "budget.density.every=5", "budget.density.grad_threshold=1000")
+    trainer = ready_to_train(small_scene, method, iterations, *often, f"budget.gaussians={asked}")
+    train(trainer)
+    sets = [report for report in trainer.reports().values() if "gaussians" in report]
+    assert [(of["gaussians"], of["gaussians_asked"]) for of in sets] == [(had, asked)] * (2 if method == "msmg" else 1)
