@@ -50,9 +50,14 @@ def shaded(picture: np.ndarray, determinacy: np.ndarray) -> np.ndarray:
     return np.asarray(known * picture + (1 - known) * np.array(GUESSED) + 0.5).clip(0, 255).astype(np.uint8)
 
 
-def in_colour(picture: np.ndarray) -> np.ndarray:
-    """Return a stored picture (H, W, 1 or 3) uint8 in colour, (H, W, 3)."""
-    return picture if picture.shape[2] == 3 else lookup_table(THERMAL)[picture[..., 0]]
+def colours_of_levels(name: str, low: float, high: float) -> np.ndarray:
+    """Return the colours (256, 3) uint8 of the levels 0 to 255, of values in [0, 1], in a map from `low` to `high`."""
+    return colored(np.arange(LEVELS)[None] / (LEVELS - 1), name, low, high)[0]
+
+
+def in_colour(picture: np.ndarray, low: float = 0.0, high: float = 1.0) -> np.ndarray:
+    """Return a stored picture (H, W, 1 or 3) uint8 in colour, (H, W, 3); gray ones from `low` to `high`."""
+    return picture if picture.shape[2] == 3 else colours_of_levels(THERMAL, low, high)[picture[..., 0]]
 
 
 def expected_depth(render: Render) -> np.ndarray:

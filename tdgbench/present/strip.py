@@ -10,9 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tdgbench.cells.folder import CellFolder
-from tdgbench.present.colours import in_colour
 from tdgbench.present.figures import plain, save_figure
-from tdgbench.present.view_pictures import ERROR, ERROR_RANGE, grayed, middle_view
+from tdgbench.present.view_pictures import middle_view, view_pictures
 
 MOST_BESIDE = 4  # methods whose errors are beside their renders
 TITLE: dict[str, Any] = {"fontsize": 8, "y": 1.0}  # with a fixed height, matplotlib searches for none
@@ -54,15 +53,16 @@ def _draw_cell(axes: tuple[Axes, Axes, Axes], cell: CellFolder, name: str) -> No
     title = f"{method} {'n/a' if psnr is None else f'{psnr:.1f} dB'}"
     on_render.set_title(title, **TITLE)
     try:
-        stored = cell.pictures(middle_view([cell]))
+        shown = view_pictures(cell, middle_view([cell]))
     except (OSError, ValueError):
         on_render.set_title(f"{title}: picture n/a", **TITLE)
         return
-    on_truth.imshow(grayed(in_colour(stored.truth), stored.valid))
-    on_truth.set_title(f"{plain(name)}: ground truth", **TITLE)
-    on_render.imshow(in_colour(stored.render))
-    on_error.imshow(stored.error, vmin=0, vmax=ERROR_RANGE, cmap=ERROR)  # masked pixels are white
-    on_error.set_title(f"{method} error (0 to {ERROR_RANGE})", **TITLE)
+    on_truth.imshow(shown.truth)
+    colours = "" if shown.scale.ends is None else f", {' to '.join(shown.scale.ends)}"
+    on_truth.set_title(f"{plain(name)}: ground truth{colours}", **TITLE)
+    on_render.imshow(shown.render)
+    on_error.imshow(shown.error)
+    on_error.set_title(f"{method} error, 0 to {shown.scale.error_end}", **TITLE)
 
 
 def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str]]) -> str:

@@ -8,30 +8,31 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.cells.folder import RENDERS, CellFolder
+from tdgbench.present.colour_scale import ERROR_RANGE as ERROR_RANGE
+from tdgbench.present.colour_scale import ColourScale, colour_scale
 from tdgbench.present.colours import UNKNOWN, colored, expected_depth, in_colour
 from tdgbench.scenes.modalities import THERMAL
 
 ERROR, DEPTH = "magma", "viridis"  # colour maps
-ERROR_RANGE = 0.15  # upper end of the colour scale of errors
 
 
 class ViewPictures(NamedTuple):
-    """Pictures of a test view, (H, W, 3) uint8, and their mask, bool (H, W); None if all pixels are valid.
-
-    Masked pixels are gray in the ground truth and in the error.
-    """
+    """Pictures of a test view, (H, W, 3) uint8, gray where masked, and what their colours span."""
 
     truth: np.ndarray
     render: np.ndarray
     error: np.ndarray
-    valid: np.ndarray | None
+    scale: ColourScale
 
 
 def view_pictures(cell: CellFolder, view: str) -> ViewPictures:
     """Return the stored pictures of a test view in colour. Raises ValueError or OSError where one is unusable."""
     stored = cell.pictures(view)
-    truth, error = grayed(in_colour(stored.truth), stored.valid), colored(stored.error, ERROR, 0, ERROR_RANGE)
-    return ViewPictures(truth, in_colour(stored.render), error, stored.valid)
+    scale = colour_scale(stored.truth, stored.valid, cell.record.temperature_range)
+    truth, render = (
+        grayed(in_colour(one, scale.low, scale.high), stored.valid) for one in (stored.truth, stored.render)
+    )
+    return ViewPictures(truth, render, colored(stored.error, ERROR, 0, scale.error), scale)
 
 
 def middle_view(cells: Iterable[CellFolder]) -> str:

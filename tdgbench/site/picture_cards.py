@@ -13,7 +13,7 @@ from PIL import Image
 
 from tdgbench.cells.folder import RENDERS
 from tdgbench.cells.protocol import protocol_settings
-from tdgbench.present.view_pictures import grayed, middle_view, view_pictures
+from tdgbench.present.view_pictures import middle_view, view_pictures
 from tdgbench.site.packed import Pack
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.results import Cell
@@ -31,6 +31,7 @@ class Card:
     cell: Cell
     packs: list[Pack]
     view: str = ""
+    scale: str = ""  # what the colours of its pictures span, in words
     problem: str = ""  # why it has no pictures
     pictures: dict[str, np.ndarray] = field(default_factory=dict)  # truth, render, error
     files: dict[str, str] = field(default_factory=dict)  # places of their files
@@ -72,7 +73,8 @@ def _draw(card: Card, view: str) -> None:
     except (OSError, ValueError) as error:
         card.problem = str(error)
         return
-    card.pictures = {"truth": drawn.truth, "render": grayed(drawn.render, drawn.valid), "error": drawn.error}
+    card.pictures = {"truth": drawn.truth, "render": drawn.render, "error": drawn.error}
+    card.scale = drawn.scale.sentence
 
 
 def files_of_cards(cards: Sequence[Card]) -> dict[str, bytes]:

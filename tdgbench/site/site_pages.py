@@ -13,7 +13,6 @@ from tdgbench.cells.key import flat
 from tdgbench.files import whole_folder
 from tdgbench.packs.manifest import SHOWN
 from tdgbench.present.html import environment
-from tdgbench.present.view_pictures import ERROR_RANGE
 from tdgbench.report.report_page import environments, legend
 from tdgbench.resources import conf_folder
 from tdgbench.site.packed import BoardRow, Pack, method_page, rows_of, scene_page
@@ -101,7 +100,7 @@ class _Site:
                  if cell.dataset_and_scene == (dataset, scene)]  # fmt: skip
         page = self._page("scene.html.j2", "../../", dataset=dataset, scene=scene, sections=sections,
                           assumed=assumed_rows(cells), doubts=doubts_of(record for _, record in cells),
-                          boards=boards_of(rows), error_range=ERROR_RANGE)  # fmt: skip
+                          boards=boards_of(rows))  # fmt: skip
         return {scene_page(dataset, scene): page, **files}
 
     def _page(self, template: str, root: str, **content: Any) -> bytes:
