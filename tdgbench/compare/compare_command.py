@@ -12,10 +12,12 @@ from rich.text import Text
 
 from tdgbench.compare.causes import KINDS, MACHINE, PROTOCOL, Cause, find_causes
 from tdgbench.compare.compared_cells import (
+    FIRST,
     IDENTICAL,
-    NUMBERS,
+    MetricVerdicts,
     Pairs,
     comparison_grid,
+    difference_as_text,
     find_pairs,
     score_table,
     verdicts_by_metric,
@@ -26,13 +28,14 @@ from tdgbench.packs import opened_pack
 from tdgbench.scoring import METRICS
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
-from tdgbench.tables.measures import COLUMNS, GAUSSIANS, MEASURES, as_text
+from tdgbench.tables.measures import MEASURES
 from tdgbench.tables.results import Cell, read_results
 from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
 MOST_CAUSES = 12  # of a kind, on the terminal
+OF_TIMES = ("cpu", "cores", "threads", "simd_lanes", "gpu")  # fields of a record's environment that decide times
 
 
 def main(arguments: list[str]) -> int:
@@ -105,32 +108,52 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     if (table.loc[table["metric"].isin(METRICS), "verdict"] == IDENTICAL).all():
         found.append(f"all scores of the {len(pairs)} cells that both have are identical")
     else:
-        for row in verdicts_by_metric(table).itertuples():
-            mean, largest = (as_text(row.metric, value, form="+.3g") for value in (row.mean, row.largest))
-            found.append(f"{MEASURES[row.metric].label}: {row.verdicts}; B − A {mean} in the mean, {largest} at most")
+        found += [verdicts_in_words(one) for one in verdicts_by_metric(table, pairs)]
         if (table.loc[table["verdict"] == UNDECIDED, "seeds"] == 1).any():
             found.append("one seed has no interval, so its scores are undecided: run both with seed=0,1,2")
+    for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
+        left_out = pairs.left_out(alone)
+        if left_out:
+            both = in_words(sorted({pair.a.record.seed for pair in pairs}))
+            found.append(f"means are over {both}, which both have; {name} has {in_words(left_out)} as well, which its "
+                         "tables average, too")  # fmt: skip
     kinds = [kind for kind in KINDS if any(cause.kind == kind for cause in causes)]
     if PROTOCOL in kinds:
         found.append("the two do not follow one protocol, so their scores are not comparable: see what differs")
+    if any(cause.kind == MACHINE and cause.name.split(".")[0] in OF_TIMES for cause in causes):
+        found.append("their machines or threads differ, so their times are not comparable")
     found.append(f"what differs: {', '.join(kinds)}" if kinds else "settings, data, code and machine are the same")
     found.append("the ground truth of both is what their files say: tdgbench verify compares it with the data")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
         if alone:
             more = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
-            found.append(f"finished in {name} alone: {alone[0]}{more}")
+            found.append(f"finished in {name} alone: {alone[0].title}{more}")
     return found
+
+
+def verdicts_in_words(found: MetricVerdicts) -> str:
+    """Return the sentence on a metric: verdicts, and B − A on average, with its interval if there is one."""
+    metric, difference = found.metric, found.difference
+    mean, low, high = (difference_as_text(metric, value) for value in difference)
+    text = f"{MEASURES[metric].label}: {found.verdicts}"
+    if found.verdicts == f"{found.places} {IDENTICAL}":
+        return text
+    text += f"; B − A {mean}{MEASURES[metric].suffix}{f' on average of {found.places}' if found.places > 1 else ''}"
+    if low == "n/a":
+        return f"{text}, by one seed, which shows no difference"
+    return f"{text}, 90 % interval {low} to {high}{', which contains zero' if difference.contains_zero else ''}"
+
+
+def in_words(seeds: Sequence[int]) -> str:
+    return f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
 
 
 def _show(table: pd.DataFrame, causes: Sequence[Cause], pairs: int) -> None:
     """Print the scores that tables print, and what differs."""
-    shown = Table("scene", "method", "score", *NUMBERS.values(), "verdict")
-    printed = comparison_grid(table[table["metric"].isin([*COLUMNS, GAUSSIANS.name])])
+    printed = comparison_grid(table[table["metric"].isin(FIRST)])
+    shown = Table(*printed.heads, *printed.columns)
     for row in printed.rows:
-        method = ", ".join(filter(None, row.place[2:5]))
-        _, *numbers, verdict = row.cells
-        named = (Text(one_line(row.heads[1])), Text(one_line(method)), row.heads[-1])
-        shown.add_row(*named, *(cell.text for cell in numbers), verdict.note)
+        shown.add_row(*(Text(one_line(head)) for head in row.heads), *(cell.text or cell.note for cell in row.cells))
     console().print(shown)
     for note in printed.notes:
         say(one_line(note))

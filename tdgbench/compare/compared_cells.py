@@ -8,29 +8,35 @@ spread over seeds.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import nan
 from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from tdgbench.cells.record import Record
 from tdgbench.present.grid import Grid, GridCell, GridRow
+from tdgbench.tables import methods
 from tdgbench.tables.long_table import metric_value
-from tdgbench.tables.measures import MEASURES, as_text
+from tdgbench.tables.measures import COLUMNS as OF_TABLES
+from tdgbench.tables.measures import GAUSSIANS, MEASURES, as_text
 from tdgbench.tables.palette import COLUMN, MARK, image_values, palette_notes
 from tdgbench.tables.results import Cell
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED, judge_score, load_margins, seeds_interval
 
+FIRST = (*OF_TABLES, GAUSSIANS.name)  # numbers that are shown first
 IDENTICAL, EQUIVALENT = "identical", "equivalent"
 PLACE = ["dataset", "scene", "method", "init", "variant"]
 COLUMNS = [
-    *PLACE, "metric", "seeds", "a", "b", "difference", "ci90_low", "ci90_high", "margin", "verdict", "repeat_std",
-    "seed_std", COLUMN,
+    *PLACE, "metric", "seeds", "of_seeds", "a", "b", "difference", "ci90_low", "ci90_high", "margin", "verdict",
+    "repeat_std", "seed_std", COLUMN,
 ]  # fmt: skip
 
 Place = tuple[str, ...]  # values of PLACE
+place_of: Callable[[Record], Place] = attrgetter(*PLACE)
 
 
 class ComparedCell(NamedTuple):
@@ -40,13 +46,25 @@ class ComparedCell(NamedTuple):
     b: Cell
 
 
+class Difference(NamedTuple):
+    """B − A of a metric on average, with Student's 90 % interval over the seeds; NaN where it is not known."""
+
+    mean: float = nan
+    low: float = nan
+    high: float = nan
+
+    @property
+    def contains_zero(self) -> bool:
+        return self.low <= 0 <= self.high
+
+
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs by place and seed, and the titles of finished cells that only one experiment has."""
+    """Pairs by place and seed, and the records of finished cells that only one experiment has."""
 
     by_place: dict[Place, dict[int, ComparedCell]]
-    only_a: list[str]
-    only_b: list[str]
+    only_a: list[Record]
+    only_b: list[Record]
 
     def __iter__(self) -> Iterator[ComparedCell]:
         return (pair for seeds in self.by_place.values() for pair in seeds.values())
@@ -54,15 +72,18 @@ class Pairs:
     def __len__(self) -> int:
         return sum(len(seeds) for seeds in self.by_place.values())
 
+    def left_out(self, alone: Iterable[Record]) -> list[int]:
+        """Return the seeds of cells that one experiment has alone, where the other one has further seeds."""
+        return sorted({record.seed for record in alone if place_of(record) in self.by_place})
+
 
 def find_pairs(a: Iterable[Cell], b: Iterable[Cell]) -> Pairs:
     """Match the finished cells of two experiments."""
-    identity = attrgetter(*PLACE)
-    mine, theirs = ({(identity(cell.record), cell.record.seed): cell for cell in cells} for cells in (a, b))
+    mine, theirs = ({(place_of(cell.record), cell.record.seed): cell for cell in cells} for cells in (a, b))
     by_place: dict[Place, dict[int, ComparedCell]] = {}
     for place, seed in sorted(mine.keys() & theirs.keys()):
         by_place.setdefault(place, {})[seed] = ComparedCell(mine[place, seed], theirs[place, seed])
-    alone = ([cells[key].record.title for key in sorted(cells.keys() - others.keys())]
+    alone = ([cells[key].record for key in sorted(cells.keys() - others.keys())]
              for cells, others in ((mine, theirs), (theirs, mine)))  # fmt: skip
     return Pairs(by_place, *alone)
 
@@ -72,44 +93,53 @@ def score_table(pairs: Pairs, are_repeats: bool) -> pd.DataFrame:
 
     are_repeats: what is trained and scored is the same in both, so that equal seeds show the spread of a repeat.
 
-    a, b, difference: means over the seeds. ci90: of the difference, by Student; NaN for one seed. verdict: `identical`
-    if every pair has equal numbers; else of the interval against the metric's margin, as for published numbers:
-    `equivalent`, `better` or `worse` (B than A), `undecided`; empty without a margin. repeat_std: of one training run
-    again, from the differences of equal seeds; NaN where they are no repeats. seed_std: over the seeds, mean of both.
-    image_values: whether the images of either are in a palette.
+    seeds, of_seeds: how many and which both have. a, b, difference: means over them. ci90: of the difference, by
+    Student; NaN for one seed. verdict: `identical` if every pair has equal numbers; else of the interval against the
+    metric's margin, as for published numbers: `equivalent`, `better` or `worse` (B than A), `undecided`; empty without
+    a margin. repeat_std: of one training run again, from the differences of equal seeds; NaN where they are no repeats.
+    seed_std: over the seeds, mean of both. image_values: whether the images of either are in a palette.
     """
     rows = []
     for place, by_seed in pairs.by_place.items():
-        values_of_images = image_values(cell.record for pair in by_seed.values() for cell in pair)
+        values_of_images, seeds = image_values(cell.record for pair in by_seed.values() for cell in pair), [*by_seed]
         for metric in MEASURES:
-            values = np.array(
-                [[metric_value(cell.record, metric)[0] for cell in pair] for pair in by_seed.values()], dtype=float
-            )
+            values = np.array([_values(pair, metric) for pair in by_seed.values()])
             if not np.isnan(values).any():
-                rows.append([*place, metric, *_compared(metric, values, are_repeats), values_of_images])
+                counted = [len(seeds), " ".join(map(str, seeds))]
+                rows.append([*place, metric, *counted, *_compared(metric, values, are_repeats), values_of_images])
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
+def _values(pair: ComparedCell, metric: str) -> list[float]:
+    return [metric_value(cell.record, metric)[0] for cell in pair]
+
+
+def _difference(differences: np.ndarray) -> Difference:
+    """Return the mean of differences (seeds,) with its interval."""
+    seeds, mean = len(differences), float(differences.mean())
+    if seeds < 2:
+        return Difference(mean)
+    return Difference(mean, *map(float, seeds_interval(mean, float(differences.std(ddof=1)), seeds)))
+
+
 def _compared(metric: str, values: np.ndarray, are_repeats: bool) -> list[object]:
-    """Return the columns from `seeds` to `seed_std`. values: (seeds, 2), of A and B."""
-    seeds, differences = len(values), values[:, 1] - values[:, 0]
-    mean, margin = float(differences.mean()), load_margins().get(metric, np.nan)
-    std = float(differences.std(ddof=1)) if seeds > 1 else np.nan
-    low, high = map(float, seeds_interval(mean, std, seeds)) if seeds > 1 else (np.nan, np.nan)
-    verdict = _verdict(metric, differences, (low, high), margin)
-    repeat = float(np.sqrt((differences**2).mean() / 2)) if are_repeats else np.nan
-    over_seeds = float(values.std(axis=0, ddof=1).mean()) if seeds > 1 else np.nan
-    return [seeds, *values.mean(axis=0).tolist(), mean, low, high, margin, verdict, repeat, over_seeds]
+    """Return the columns from `a` to `seed_std`. values: (seeds, 2), of A and B."""
+    differences, margin = values[:, 1] - values[:, 0], load_margins().get(metric, nan)
+    found = _difference(differences)
+    verdict = _verdict(metric, differences, found, margin)
+    repeat = float(np.sqrt((differences**2).mean() / 2)) if are_repeats else nan
+    over_seeds = float(values.std(axis=0, ddof=1).mean()) if len(values) > 1 else nan
+    return [*values.mean(axis=0).tolist(), *found, margin, verdict, repeat, over_seeds]
 
 
-def _verdict(metric: str, differences: np.ndarray, interval: tuple[float, float], margin: float) -> str:
+def _verdict(metric: str, differences: np.ndarray, found: Difference, margin: float) -> str:
     if not differences.any():
         return IDENTICAL
     if np.isnan(margin):
         return ""
-    if np.isnan(interval[0]):
+    if np.isnan(found.low):
         return UNDECIDED
-    verdict = str(judge_score(*interval, 0.0, 0.0, margin, MEASURES[metric].higher_is_better))
+    verdict = str(judge_score(found.low, found.high, 0.0, 0.0, margin, MEASURES[metric].higher_is_better))
     return EQUIVALENT if verdict == REPRODUCED else verdict
 
 
@@ -118,39 +148,67 @@ NUMBERS = {"a": "A", "b": "B", "difference": "B − A", "interval": "90 % interv
 
 
 def comparison_grid(table: pd.DataFrame) -> Grid:
-    """Return the score table as readers see it. `place` of a row: PLACE and metric."""
+    """Return the score table as readers see it, without what all rows share. `place` of a row: PLACE and metric."""
+    heads = [name for name in PLACE if name in ("scene", "method") or table[name].nunique() > 1]
+    numbers = [name for name in NUMBERS if name not in table or table[name].notna().any()]
     rows = []
     for row in table.to_dict("records"):
         measure, place = MEASURES[row["metric"]], tuple(row[name] for name in PLACE)
         name = measure.label + (f", {measure.images}" if measure.images else "")
-        scene = f"{row['scene']} {MARK}" if row[COLUMN] else row["scene"]
+        shown = {**row, "method": methods.label(row["method"]), "scene": f"{row['scene']} {MARK}" if row[COLUMN] else row["scene"]}
         cells = (
-            GridCell(str(row["seeds"]), sort=row["seeds"]),
-            *_number_cells(row),
+            GridCell(str(row["seeds"]), sort=row["seeds"], title=f"seeds {row['of_seeds']}"),
+            *_number_cells(row, numbers),
             GridCell("", sort=row["verdict"], note=row["verdict"], verdict=row["verdict"]),
         )
-        heads = (place[0], scene, *place[2:], name)
-        rows.append(GridRow(heads, cells, (*place, row["metric"]), is_marked=bool(row[COLUMN])))
+        rows.append(
+            GridRow(
+                (*(shown[head] for head in heads), name), cells, (*place, row["metric"]), is_marked=bool(row[COLUMN])
+            )
+        )
     notes = palette_notes(table.drop(columns="method"))
-    return Grid([*PLACE, "score"], ["seeds", *NUMBERS.values(), "verdict"], rows, notes)
+    return Grid([*heads, "score"], ["seeds", *(NUMBERS[name] for name in numbers), "verdict"], rows, notes)
 
 
-def _number_cells(row: Mapping[str, Any]) -> list[GridCell]:
+def _number_cells(row: Mapping[str, Any], numbers: Sequence[str]) -> list[GridCell]:
     """Return NUMBERS of a row of the score table."""
-    metric, signed = row["metric"], {"difference", "ci90_low", "ci90_high"}
-    forms = {"a": "", "b": "", **dict.fromkeys(signed, "+.3g"), "repeat_std": ".2g", "seed_std": ".2g"}
-    texts = {k: "n/a" if np.isnan(row[k]) else as_text(metric, row[k], form=form) for k, form in forms.items()}
+    metric, signed = row["metric"], ("difference", "ci90_low", "ci90_high")
+    texts = {name: as_text(metric, row[name]) for name in ("a", "b")}
+    texts |= {name: difference_as_text(metric, row[name]) for name in signed}
+    texts |= {name: difference_as_text(metric, row[name], "") for name in ("repeat_std", "seed_std")}
     texts["interval"] = "n/a" if texts["ci90_low"] == "n/a" else f"{texts['ci90_low']} to {texts['ci90_high']}"
     values = {**row, "interval": row["ci90_low"]}
-    return [GridCell(texts[name], sort="" if np.isnan(values[name]) else values[name]) for name in NUMBERS]
+    return [GridCell(texts[name], sort="" if np.isnan(values[name]) else values[name]) for name in numbers]
 
 
-def verdicts_by_metric(table: pd.DataFrame) -> pd.DataFrame:
-    """Return metric, places, mean and largest difference, and counts of verdicts, of metrics with a margin."""
-    rows = []
+def difference_as_text(metric: str, value: float, sign: str = "+") -> str:
+    """Return a difference or a spread with three digits, and a count as one; n/a for NaN.
+
+    >>> difference_as_text("psnr", -6.0), difference_as_text("gaussians", 263.7, ""), difference_as_text("ssim", 1e-6)
+    ('-6.00', '264', '+1.00e-06')
+    """
+    if np.isnan(value):
+        return "n/a"
+    return as_text(
+        metric, value, form=f"{sign}.0f" if not MEASURES[metric].digits or abs(value) >= 100 else f"{sign}#.3g"
+    )
+
+
+class MetricVerdicts(NamedTuple):
+    """Verdicts on a metric in words, and B − A on average over the places, by the seeds that all places have."""
+
+    metric: str
+    verdicts: str
+    places: int
+    difference: Difference
+
+
+def verdicts_by_metric(table: pd.DataFrame, pairs: Pairs) -> Iterator[MetricVerdicts]:
+    """Yield what the score table of pairs says of each metric with a margin."""
     for metric, group in table[table["margin"].notna()].groupby("metric", sort=False):
-        counts = group["verdict"].value_counts()
-        largest = group["difference"].iloc[group["difference"].abs().argmax()]
-        words = ", ".join(f"{number} {word}" for word, number in counts.items())
-        rows.append([metric, len(group), group["difference"].mean(), largest, words])
-    return pd.DataFrame(rows, columns=["metric", "places", "mean", "largest", "verdicts"])
+        words = ", ".join(f"{number} {word}" for word, number in group["verdict"].value_counts().items())
+        by_place = [pairs.by_place[place] for place in group[PLACE].itertuples(index=False, name=None)]
+        common = sorted(set.intersection(*map(set, by_place)))
+        values = np.array([[_values(by_seed[seed], metric) for seed in common] for by_seed in by_place])
+        found = _difference(np.diff(values).mean(axis=(0, 2))) if common else Difference(group["difference"].mean())
+        yield MetricVerdicts(str(metric), words, len(group), found)

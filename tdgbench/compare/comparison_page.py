@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from tdgbench.cells.record import Record
 from tdgbench.compare.causes import KINDS, Cause
-from tdgbench.compare.compared_cells import ComparedCell, Pairs, comparison_grid
+from tdgbench.compare.compared_cells import FIRST, ComparedCell, Pairs, comparison_grid
 from tdgbench.files import write_text
+from tdgbench.packs.write import without_paths
 from tdgbench.present.colours import colored, in_colour
 from tdgbench.present.html import embedded, environment
 from tdgbench.present.view_pictures import ERROR, ERROR_RANGE
 from tdgbench.tables.assumptions import AssumedDifference, assumed_rows
+from tdgbench.terminal import printable
 
 MOST_PICTURES = 24  # of cells, so that a page stays some megabytes
 
@@ -31,16 +34,25 @@ def write_page(
 ) -> None:
     """Write the page. names: of A and B. table: from `score_table`. otherwise: what was assumed in another way."""
     shown = [(place, min(seeds.items())) for place, seeds in pairs.by_place.items()]
-    html = environment("tdgbench.compare").get_template("comparison_page.html.j2").render(
+    pages, is_first = environment("tdgbench.compare"), table["metric"].isin(FIRST)
+    pages.finalize = _public
+    html = pages.get_template("comparison_page.html.j2").render(
         a=names[0], b=names[1], findings=findings,
         causes=[(kind, meaning, [cause.sentence(len(pairs)) for cause in causes if cause.kind == kind])
                 for kind, meaning in KINDS.items()],
         otherwise=[one.sentence for one in otherwise], assumed=_assumed(pairs),
-        table=comparison_grid(table),
+        scores=comparison_grid(table[is_first]), others=comparison_grid(table[~is_first]),
         pictures=[picture(", ".join(filter(None, place)) + f", seed {seed}", pair)
                   for place, (seed, pair) in shown[:MOST_PICTURES]],
     )  # fmt: skip
     write_text(path, html)
+
+
+def _public(value: Any) -> Any:
+    """Return what a page prints: text without paths of a machine, and a picture as it is."""
+    if type(value) is not str or value.startswith("data:"):
+        return value
+    return printable(without_paths(value))
 
 
 def _assumed(pairs: Pairs) -> dict[str, list[tuple[str, str]]]:

@@ -97,6 +97,15 @@ def private_paths(text: str) -> list[str]:
     return list(dict.fromkeys(PATHS.findall(text)))
 
 
+def without_paths(text: str) -> str:
+    """Return a text in which an absolute path is the name of its file.
+
+    >>> without_paths("/home/ada/a b/views.csv: no such file")
+    'views.csv: no such file'
+    """
+    return PATHS.sub(lambda found: re.split(r"[/\\]", found.group())[-1], text)
+
+
 def _paths(experiment: Path) -> dict[str, Path]:
     """Return the files of a pack, by relative path. Raises ValueError without records."""
     records = record_files(experiment)

@@ -58,12 +58,27 @@ def test_the_spread_of_a_repeat_is_not_that_of_seeds(tmp_path):
     assert np.isnan(psnr_row(a, b, are_repeats=False)["repeat_std"])
 
 
+@pytest.mark.parametrize(
+    ("psnr_b", "said"),
+    [
+        ([19.0], "PSNR: 1 undecided; B − A -1.00 dB, by one seed, which shows no difference"),
+        ([20.1, 20.9], "PSNR: 1 undecided; B − A +0.00 dB, 90 % interval -0.631 to +0.631, which contains zero"),
+        ([22.0, 23.1], "PSNR: 1 better; B − A +2.05 dB, 90 % interval +1.73 to +2.37"),
+    ],
+)  # fmt: skip
+def test_a_finding_is_no_stronger_than_its_seeds(tmp_path, capsys, psnr_b, said):
+    a, b = two_experiments(tmp_path, [20.0, 21.0], psnr_b)
+    main([str(a), str(b)])
+    assert f"found: {said}\n" in capsys.readouterr().out
+
+
 def test_cells_of_one_experiment_alone_are_named(tmp_path, capsys):
-    a, b = two_experiments(tmp_path, [20.0, 21.0], [20.0])
+    a, b = two_experiments(tmp_path, [20.0, 21.0, 25.0], [20.0])
     write(b, scene="Lion")
     assert main([str(a), str(b)]) == 0
     out = capsys.readouterr().out
-    assert "finished in A alone: tdg on RGBT-Scenes/Truck, colmap, seed 1" in out
+    assert "means are over seed 0, which both have; A has seeds 1, 2 as well, which its tables average, too" in out
+    assert "finished in A alone: tdg on RGBT-Scenes/Truck, colmap, seed 1 and 1 more" in out
     assert "finished in B alone: tdg on RGBT-Scenes/Lion" in out
     assert "all scores of the 1 cells that both have are identical" in out
 
@@ -84,9 +99,12 @@ def test_what_differs_is_told_by_what_it_decides(tmp_path):
 
 
 def test_two_protocols_are_refused_and_said(tmp_path, capsys):
-    a, b = two_experiments(tmp_path, [20.0], [20.0], split="every_8th")
-    assert main([str(a), str(b)]) == 1
+    weights = {"metrics": {"lpips": {"weights": "/home/ada/vgg.npz"}}}
+    a, b = two_experiments(tmp_path, [20.0], [20.0], split="every_8th", config=weights)
+    assert main([str(a), str(b), "--out", str(tmp_path / "out")]) == 1
     assert "not follow one protocol" in capsys.readouterr().out
+    page = (tmp_path / "out" / "compare.html").read_text()
+    assert "metrics.lpips.weights: n/a → vgg.npz" in page and "/ada" not in page and str(tmp_path) not in page
 
 
 def test_other_assumptions_come_before_the_numbers(tmp_path, capsys):
@@ -110,7 +128,7 @@ def test_images_in_a_palette_are_marked(tmp_path, capsys):
     assert "assumed" not in said
     assert set(pd.read_csv(tmp_path / "out" / "compare.csv")["image_values"]) == {"palette, not temperature"}
     page = HtmlPage((tmp_path / "out" / "compare.html").read_text())
-    assert "† palette, not temperature" in page.texts and page.tables[0][1][1] == "Truck †"
+    assert "† palette, not temperature" in page.texts and page.tables[0][1][0] == "Truck †"
 
 
 def test_without_a_common_cell_the_folders_are_named(tmp_path, capsys):
@@ -130,10 +148,10 @@ def test_page_and_table_show_the_view_that_differs_most(tmp_path, small_results,
     picture = folder / "renders" / f"{views.loc[1, 'view']}.png"
     Image.fromarray(255 - np.asarray(Image.open(picture))).save(picture)
     other = next(path for path in sorted(b.rglob("views.csv")) if path.parent != folder)
-    other.unlink()
+    other.write_text("")
     assert main([str(a), str(b), "--out", str(tmp_path / "out")]) == 0
     page = (tmp_path / "out" / "compare.html").read_text()
-    assert "n/a: views.csv is missing" in page
+    assert "n/a: views.csv is missing or unusable" in page
     assert f"test view {views.loc[1, 'view']}" in page
     assert page.count("<figure>") == 3 * (len(pairs_of(a, b)) - 1)
     table = pd.read_csv(tmp_path / "out" / "compare.csv")
