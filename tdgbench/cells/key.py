@@ -88,8 +88,13 @@ def why_differs(old: Record, new: Record) -> list[str]:
     before, after = ({k: json.dumps(v) for k, v in flat(record.config).items()} for record in (old, new))
     texts = {name: (before.get(name, "nothing"), after.get(name, "nothing")) for name in sorted({*before, *after})}
     changes = [f"{name}: {a} → {b}" for name, (a, b) in texts.items() if a != b]
-    if old.data != new.data:
+    if old.failure is not None and not old.code:  # it ended before its files and code were known
+        return (changes if old.config else []) or [f"what it failed of in {old.failure.phase} ({old.failure.error})"]
+    (scene, _, others), (new_scene, _, new_others) = old.data.partition("-"), new.data.partition("-")
+    if scene != new_scene:
         changes.append("the scene's files changed")
+    if others != new_others:
+        changes.append("the files of its renders, model or prior changed")
     if old.code != new.code:
         changes.append("the code changed")
     return changes

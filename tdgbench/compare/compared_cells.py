@@ -155,7 +155,11 @@ def comparison_grid(table: pd.DataFrame) -> Grid:
     for row in table.to_dict("records"):
         measure, place = MEASURES[row["metric"]], tuple(row[name] for name in PLACE)
         name = measure.label + (f", {measure.images}" if measure.images else "")
-        shown = {**row, "method": methods.label(row["method"]), "scene": f"{row['scene']} {MARK}" if row[COLUMN] else row["scene"]}
+        shown = {
+            **row,
+            "method": methods.label(row["method"]),
+            "scene": f"{row['scene']} {MARK}" if row[COLUMN] else row["scene"],
+        }
         cells = (
             GridCell(str(row["seeds"]), sort=row["seeds"], title=f"seeds {row['of_seeds']}"),
             *_number_cells(row, numbers),

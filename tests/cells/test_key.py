@@ -6,7 +6,7 @@ from hydra.utils import instantiate
 from methods.gaussian_splatting import GaussianSplatting
 from tdgbench.bench.setup import loader_of
 from tdgbench.cells.key import cell_key, relevant_config, why_differs
-from tdgbench.cells.record import Record
+from tdgbench.cells.record import Failure, Record
 from tests.helpers.configs import SMALL, config
 from tests.helpers.paths import ROOT
 
@@ -43,6 +43,10 @@ def test_what_changed_is_named():
     assert "seed: 0 → 1" in both and 'init.name: "colmap" → "random"' in both
     assert "init.points.count: nothing → 100000" in both
     assert why_differs(base, record(data="e", code="e")) == ["the scene's files changed", "the code changed"]
+    renders = "the files of its renders, model or prior changed"
+    assert why_differs(record(data="d-1"), record(data="d-2")) == [renders]
+    base.failure, base.key, base.data, base.code = Failure("load", "no run.json", ""), "", "", ""
+    assert why_differs(base, record()) == ["what it failed of in load (no run.json)"]
 
 
 @pytest.mark.parametrize("dataset", sorted(path.stem for path in (ROOT / "conf" / "dataset").glob("*.yaml")))
