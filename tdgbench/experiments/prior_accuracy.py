@@ -86,7 +86,7 @@ def _of_view(prior: DepthPrior, known: KnownDepth) -> Accuracy | None:
 
 def source(scene: Scene) -> str:
     """Name what is known of a scene's depth; empty if nothing is."""
-    if all(view.true_depth_path is not None for view in scene.train):
+    if all(view.load_true_depth is not None for view in scene.train):
         return "true depth"
     return "" if scene.points is None else "SfM points"
 

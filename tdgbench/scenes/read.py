@@ -15,20 +15,20 @@ from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats import Header, header
 from tdgbench.scenes.geometry import judged
-from tdgbench.scenes.images import read_image, with_channels
-from tdgbench.scenes.inputs import hash_of, is_folder, is_there, regular_file
+from tdgbench.scenes.images import read_image, resize, with_channels
+from tdgbench.scenes.inputs import hash_of, is_folder, is_there, read_array, regular_file
 from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
 from tdgbench.scenes.layouts.layout import by_view, find_images
 from tdgbench.scenes.names import in_case_alone
 from tdgbench.scenes.options import Description, ReadOptions, split_names
 from tdgbench.scenes.registry import sensor_of
-from tdgbench.scenes.scene import Scene, View, read_map
+from tdgbench.scenes.scene import Scene, View
 from tdgbench.scenes.thermal import ThermalRequest, thermal_images
 from tdgbench.scenes.view_images import ImageSource, Mask, ThermalImages, native_camera, resample
 from tdgbench.text import first_few
 
 RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
-TRUE = "temperature"  # folder of true temperatures
+DEPTH, TRUE = "depth", "temperature"  # folders of true depth and true temperatures
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         if name in rgb:
             photos[name] = replace(source, path=rgb[name], mask=None, header=_header(rgb[name], as_picture=True))
         views[name] = _make_view(folder, source, camera, photos.get(name))
-    truth = [path for name in names for path in (_truth(folder, "depth", name), _truth(folder, TRUE, name)) if path]
+    truth = [path for name in names for path in (_truth(folder, DEPTH, name), _truth(folder, TRUE, name)) if path]
     hiding = [mask.path for mask in masks.values()]
     files = [*thermal.values(), *rgb.values(), *hiding, *scene_files.files, *truth]
     scene = Scene(
@@ -226,15 +226,15 @@ def _about_lenses(sources: Iterable[ImageSource]) -> dict[str, str]:
 def _make_view(folder: Path, source: ImageSource, camera: Camera, photo: ImageSource | None) -> View:
     """Return a view without its thermal image and mask."""
     name = source.posed.name
-    degC = _truth(folder, TRUE, name)
+    depth, degC = (_truth(folder, kind, name) for kind in (DEPTH, TRUE))
     return View(
         name=name,
         camera=camera,
         load_thermal=partial(_refuse, name),
         load_rgb=None if photo is None else partial(_load_rgb, photo),
         thermal_path=source.path,
-        true_depth_path=_truth(folder, "depth", name),
-        load_true_temperature=None if degC is None else partial(read_map, degC, "map of temperatures"),
+        load_true_depth=None if depth is None else partial(_read_map, depth, "depth map", camera),
+        load_true_temperature=None if degC is None else partial(_read_map, degC, "map of temperatures", camera),
     )
 
 
@@ -242,6 +242,20 @@ def _truth(folder: Path, kind: str, name: str) -> Path | None:
     """Return the file of what is known of a view of a synthetic scene, or None."""
     path = folder / kind / f"{name}.npy"
     return regular_file(path) if is_there(path) else None
+
+
+def _read_map(path: Path, what: str, camera: Camera) -> np.ndarray:
+    """Return finite numbers (H, W) of an .npy file, resized as the images are. Raises SceneError, saying what they are.
+
+    A map of another aspect ratio keeps its size: it belongs to another camera, and what needs it says so.
+    """
+    values = read_array(path)
+    if values.ndim != 2 or not np.isfinite(values).all():
+        raise SceneError(f"{path} is no {what}: it must hold finite numbers of shape (H, W)")
+    height, width = values.shape
+    if values.shape == (camera.height, camera.width) or abs(camera.width * height / width - camera.height) > 1:
+        return values
+    return resize(values[..., None].astype(np.float32), camera.width, camera.height)[..., 0]
 
 
 def _refuse(name: str) -> np.ndarray:

@@ -13,7 +13,6 @@ import numpy as np
 
 from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import read_array
 from tdgbench.scenes.outliers import outlying
 
 MAX_STEP = 1e-3  # largest step between float32 coordinates, as a share of the scene's extent
@@ -69,7 +68,7 @@ class View:
     load_rgb: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     thermal_path: Path | None = None
     load_valid: Callable[[], np.ndarray] | None = field(default=None, repr=False)
-    true_depth_path: Path | None = None  # .npy (H, W), z in world units; of synthetic scenes
+    load_true_depth: Callable[[], np.ndarray] | None = field(default=None, repr=False)  # of synthetic scenes
     load_true_temperature: Callable[[], np.ndarray] | None = field(default=None, repr=False)  # of synthetic scenes
 
     def with_thermal(self, image: np.ndarray, **changes: Any) -> View:
@@ -112,7 +111,7 @@ class View:
     @cached_property
     def true_depth(self) -> np.ndarray | None:
         """(H, W) float32, z in world units; None if unknown. Raises SceneError for a file that is no depth map."""
-        return None if self.true_depth_path is None else read_map(self.true_depth_path, "depth map")
+        return None if self.load_true_depth is None else self.load_true_depth()
 
     @cached_property
     def true_temperature(self) -> np.ndarray | None:
@@ -121,14 +120,6 @@ class View:
         Raises SceneError for a file that is no map of temperatures.
         """
         return None if self.load_true_temperature is None else self.load_true_temperature()
-
-
-def read_map(path: Path, what: str) -> np.ndarray:
-    """Read finite numbers (H, W) from an .npy file. Raises SceneError, which says what they should be."""
-    values = read_array(path)
-    if values.ndim != 2 or not np.isfinite(values).all():
-        raise SceneError(f"{path} is no {what}: it must hold finite numbers of shape (H, W)")
-    return values
 
 
 @dataclass

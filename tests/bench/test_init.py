@@ -63,7 +63,7 @@ def test_points_of_thermal_images_alone(facade, stereo: ThermalStereo, cloud):
         errors = np.abs(depths[inside] / view.true_depth[rows, columns] - 1)
         assert inside.sum() > 200 and np.median(errors) < 0.04
         assert np.median(np.abs(cloud.colors[inside] - view.thermal[rows, columns])) < 0.05
-    train = [dataclasses.replace(view, load_rgb=None, true_depth_path=None) for view in facade.train]
+    train = [dataclasses.replace(view, load_rgb=None, load_true_depth=None) for view in facade.train]
     again = stereo.points(dataclasses.replace(facade, points=None, train=train, test=[]))
     assert np.array_equal(again.points, cloud.points) and np.array_equal(again.colors, cloud.colors)
 

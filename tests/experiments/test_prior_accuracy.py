@@ -42,7 +42,7 @@ def test_a_flat_map_has_no_rank_and_a_useless_one_stays_in_range():
 
 
 def without_truth(scene):
-    return replace(scene, train=[replace(view, true_depth_path=None) for view in scene.train])
+    return replace(scene, train=[replace(view, load_true_depth=None) for view in scene.train])
 
 
 def test_true_depth_counts_before_points(small_scene):
@@ -60,7 +60,7 @@ def test_points_show_the_true_depth(small_scene):
     assert {tuple(p) for p in both} == {tuple(p) for p in small_scene.points.points}
     assert given.fingerprint != small_scene.fingerprint  # so that their maps are cached apart
     view = small_scene.train[0]
-    known = known_depth(replace(view, true_depth_path=None), truth)
+    known = known_depth(replace(view, load_true_depth=None), truth)
     assert 20 <= len(known.z) <= 150
     error = np.abs(view.true_depth[known.rows, known.columns] - known.z) / known.z
     assert np.median(error) < 0.05

@@ -27,6 +27,6 @@ def test_synthetic_depends_on_its_seed(small_scene):
 
 
 def test_other_scenes_have_no_true_depth(small_scene):
-    view = replace(small_scene.train[0], true_depth_path=None)
+    view = replace(small_scene.train[0], load_true_depth=None)
     with pytest.raises(PriorError, match="has no true depth; prior=synthetic is for the synthetic scenes"):
         make("synthetic").estimate(small_scene, view)

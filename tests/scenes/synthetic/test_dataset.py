@@ -78,6 +78,16 @@ def test_given_poses_differ_and_images_do_not(data_root, tmp_path):
     assert np.array_equal(clean.points.points, wrong.points.points)
 
 
+def test_a_resized_scene_has_the_resized_truth(data_root):
+    whole = load(data_root)
+    half = SyntheticDataset(str(data_root), ReadOptions(width=24), 48, 36, 10, 300).load("turntable")
+    for big, small in zip(whole.views, half.views, strict=True):
+        assert small.thermal.shape == (18, 24, 1)
+        for name in ("true_depth", "true_temperature"):
+            expected = getattr(big, name).reshape(18, 2, 24, 2).mean(axis=(1, 3))
+            assert np.allclose(getattr(small, name), expected, rtol=1e-5)
+
+
 def test_each_set_of_errors_has_a_folder(tmp_path):
     some = ({}, {"noise_degC": 0.5}, {"pose_units": 0.01}, {"thermal_camera": ThermalErrors(gain=0.05)})
     datasets = [SyntheticDataset(str(tmp_path), ReadOptions(), errors=CaptureErrors(**errors)) for errors in some]
