@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -35,14 +35,13 @@ from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 from tdgbench.training.budget import Budget
 from tdgbench.training.loop import TrainingLog, train
-from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 
 CURVE_METRICS = ("psnr", "ssim", "lpips", "depth_abs_rel")
 MARKERS = "osD^vP*X"
 
 
-class Run(BaseModel, extra="forbid", strict=True, allow_inf_nan=False, frozen=True):
+class SampledRun(BaseModel, extra="forbid", strict=True, allow_inf_nan=False, frozen=True):
     """A training: a method, overrides of its options, and its share of the budget's iterations.
 
     budget: its name in `study.budgets`; None: that of the configuration.
@@ -62,7 +61,7 @@ class ErrorTimeOptions:
     methods: dict[str, Any]
     scenes: Annotated[list[str | None], Field(min_length=1)]
     samples: Annotated[int, Field(ge=2)]
-    runs: Annotated[list[Run], Field(min_length=1)]
+    runs: Annotated[list[SampledRun], Field(min_length=1)]
     budgets: dict[str, Any] = field(default_factory=dict)
 
 
@@ -102,12 +101,12 @@ class Budgets(ErrorTime):
     sets: ClassVar[Mapping[str, str]] = {**ErrorTime.sets, "budget": "study.budgets.NAME.KEY=VALUE or study.runs"}
 
 
-def runs_of(cfg: DictConfig) -> list[Run]:
+def runs_of(cfg: DictConfig) -> list[SampledRun]:
     """Return the trainings in `cfg.study.runs`. Raises OptionError for what does not fit the rest of `cfg.study`."""
     methods, budgets = cfg.study.methods, cfg.study.get("budgets", {})
-    runs: list[Run] = []
+    runs: list[SampledRun] = []
     for options in cfg.study.runs:
-        run = Run.model_validate(OmegaConf.to_container(options, resolve=True))
+        run = SampledRun.model_validate(OmegaConf.to_container(options, resolve=True))
         wrong = ""
         if run.method not in methods:
             wrong = f"there is no method {run.method!r} in study.methods (there are {', '.join(methods)})"
@@ -121,6 +120,17 @@ def runs_of(cfg: DictConfig) -> list[Run]:
             raise OptionError([Problem("study.runs", f"run {run.label!r}: {wrong}")])
         runs.append(run)
     return runs
+
+
+def configured_for(cfg: DictConfig, run: SampledRun) -> DictConfig:
+    """Return a copy of a configuration with the method, its options and the budget of a run."""
+    cfg = cfg.copy()
+    cfg.method = cfg.study.methods[run.method]
+    cfg.method.method = OmegaConf.merge(cfg.method.method, run.options)
+    if run.budget is not None:
+        cfg.budget = cfg.study.budgets[run.budget]
+    cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
+    return cfg
 
 
 def sample_all(cfg: DictConfig) -> tuple[pd.DataFrame, int]:
@@ -142,23 +152,19 @@ def sample_all(cfg: DictConfig) -> tuple[pd.DataFrame, int]:
     return (pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(columns=columns)), failed
 
 
-def sample_curve(cfg: DictConfig, scene_name: str | None, run: Run, samples: int) -> pd.DataFrame:
+def sample_curve(cfg: DictConfig, scene_name: str | None, run: SampledRun, samples: int) -> pd.DataFrame:
     """Train once and score the test views at `samples` iterations, evenly spaced on a logarithmic scale, and at the
     end, which may come before the budget's.
 
     A sample right after density control waits until the models have recovered, so that each point of the curve is a
     model as it would be saved. The clock stops while views are scored.
     """
-    cfg = cfg.copy()
-    cfg.scene, cfg.method = scene_name, cfg.study.methods[run.method]
-    if run.budget is not None:
-        cfg.budget = cfg.study.budgets[run.budget]
+    cfg = configured_for(cfg, run)
+    cfg.scene = scene_name
     skips: Skips = instantiate(cfg.skip)
     scene: Scene = instantiate(loader_of(cfg, skips)).load(scene_name)
-    cfg.budget.iterations = max(1, round(int(cfg.budget.iterations) * run.share))
-    unready: Method = instantiate(OmegaConf.merge(cfg.study.methods[run.method].method, run.options))
     priors = prior_cache(Path(cfg.results))
-    trainer, scene, response = set_up(cfg, scene, method=unready, skips=skips, prior_cache=priors)
+    trainer, scene, response = set_up(cfg, scene, skips=skips, prior_cache=priors)
     scorer: Scorer = instantiate(cfg.metrics)
     values = _values_of(scene)
     sampled = _sampled_iterations(trainer.whole_context.budget, samples)
@@ -230,6 +236,22 @@ def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.Data
                     COLUMN: group[COLUMN].iloc[0],
                 }
             )
+    return pd.DataFrame(rows)
+
+
+def best_after(curves: pd.DataFrame, times: Sequence[float]) -> pd.DataFrame:
+    """Return the best PSNR, SSIM and LPIPS that the samples of each curve have after each of these times, seconds.
+
+    Scores are NaN where no sample is that early. ended: whether the training was over by then, so that they are final.
+    """
+    rows = []
+    for names, curve in curves.groupby(["scene", "seed", "label"], sort=False):
+        for seconds in times:
+            so_far = curve[curve["seconds"] <= seconds]
+            best = {"psnr": so_far["psnr"].max(), "ssim": so_far["ssim"].max(), "lpips": so_far["lpips"].min()}
+            ended = float(curve["seconds"].iloc[-1]) <= seconds
+            place = dict(zip(("scene", "seed", "label"), names, strict=True))
+            rows.append({**place, "after": seconds, **best, "ended": ended, COLUMN: curve[COLUMN].iloc[0]})
     return pd.DataFrame(rows)
 
 

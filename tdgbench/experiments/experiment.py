@@ -48,7 +48,8 @@ class Experiment(ABC):
         problems = []
         for word in words:
             key, _, value = word.partition("=")
-            of_study = self.sets.get(re.split(r"[.@]", key.lstrip("+~"))[0])
+            name = key.lstrip("+~")
+            of_study = self.sets.get(name) or self.sets.get(re.split(r"[.@]", name)[0])
             if of_study is not None and "@study." not in key:  # such as `+method@study.methods.mine=tdg`: the study's
                 problems.append(Problem(key, f"is set by the experiment; give {of_study} instead", value))
         if problems:
