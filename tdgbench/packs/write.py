@@ -6,13 +6,16 @@ import hashlib
 import io
 import json
 import re
+import shlex
 import shutil
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from tdgbench import __version__
 from tdgbench.cells.folder import files_below
+from tdgbench.cells.key import flat
 from tdgbench.cells.paths import RECORD_FILE, folder_name
 from tdgbench.cells.plan import PLAN_FILE
 from tdgbench.cells.record import no_records, record_files
@@ -29,6 +32,7 @@ from tdgbench.packs.manifest import (
     sha256,
 )  # fmt: skip
 from tdgbench.scenes import SceneError
+from tdgbench.text import as_typed
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file: the first time that a zip file can state
 TEXTS = (".json", ".csv")
@@ -48,7 +52,7 @@ def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -
         raise ValueError(f"--out {path}: the file's name must end in .zip")
     paths, experiment_name = _paths(experiment), experiment.resolve().name
     if not keep_paths:
-        _check_no_private_paths(file for name, file in paths.items() if name.endswith(TEXTS))
+        _check_no_private_paths([file for name, file in paths.items() if name.endswith(TEXTS)], experiment)
     files = {name: _described(file, experiment) for name, file in paths.items()}
     check_amount(files)
     plain = experiment_name if re.fullmatch(NAME, experiment_name) else folder_name(experiment_name)
@@ -63,14 +67,27 @@ def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -
     return path, name
 
 
-def _check_no_private_paths(files: Iterable[Path]) -> None:
+def _check_no_private_paths(files: Iterable[Path], experiment: Path) -> None:
     """Raise ValueError for a text that holds an absolute path."""
     for file in files:
-        for found in private_paths(_text(file).decode(errors="replace")):
-            raise ValueError(
-                f"{file} holds {found!r}, a path of this machine: run the cell again with relative "
-                "paths (data.root=data), or pack with --keep-paths"
-            )
+        text = _text(file)
+        for found in private_paths(text.decode(errors="replace")):
+            cure = "run the cell again with relative paths (data.root=data)"
+            if file.name == RECORD_FILE:
+                metrics = (json.loads(text).get("config") or {}).get("metrics") or {}
+                if (metrics.get("lpips") or {}).get("weights") == found:
+                    cure = _rescored(experiment, metrics)
+            raise ValueError(f"{file} holds {found!r}, a path of this machine: {cure}, or pack with --keep-paths")
+
+
+def _rescored(experiment: Path, metrics: dict[str, Any]) -> str:
+    """Return how to have the same scores with a relative path of LPIPS's weights. metrics: options in a record."""
+    weights = without_paths(metrics["lpips"]["weights"])
+    options = {n: v for n, v in flat(metrics).items() if n.rpartition(".")[2] not in ("_target_", "weights_sha256")}
+    words = [f"metrics.{name}={as_typed(value)}" for name, value in {**options, "lpips.weights": weights}.items()]
+    command = ["tdgbench", "score", str(experiment), f"{experiment}-shared", *words]
+    return (f"copy or link the weights to {weights} here, then pack what this writes, in seconds and without training: "
+            f"{shlex.join(command)}")  # fmt: skip
 
 
 def _described(file: Path, experiment: Path) -> PackedFile:

@@ -82,6 +82,12 @@ def test_paths_of_a_machine_are_refused(small_results, tmp_path):
     with pytest.raises(ValueError, match=r"record\.json holds '/home/ada/data', a path of this machine"):
         pack(copy)
     assert pack(copy, keep_paths=True)[0].exists()
+    shutil.copy(small_results / CELL / "record.json", record)
+    lpips = {"net": "vgg", "weights": "/home/ada/vgg.npz", "weights_sha256": "0"}
+    record.write_bytes(edited(lambda content: content["config"]["metrics"].update(lpips=lpips))(record.read_bytes()))
+    command = f"score {copy} {copy}-shared metrics.convention=3dgs metrics.lpips.net=vgg metrics.lpips.weights=vgg.npz "
+    with pytest.raises(ValueError, match=command):
+        pack(copy)
 
 
 def edited(change: Callable[[dict], object]) -> Callable[[bytes], bytes]:
