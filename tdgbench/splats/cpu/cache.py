@@ -9,6 +9,7 @@ A cache that cannot be read or written never ends a run: kernels are then compil
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import re
 import shutil
@@ -25,6 +26,7 @@ import numba
 from filelock import FileLock, Timeout
 from numba.core.caching import FunctionCache
 
+LOG = logging.getLogger(__name__)
 PACKAGE = Path(__file__).resolve().parents[1]
 WAIT_SECONDS = 120.0  # for another process that compiles a kernel; after them, both compile it
 UNUSED_DAYS = 30  # after which the cache of another state of the sources is removed
@@ -138,6 +140,7 @@ class KernelCache(FunctionCache):
         try:
             return super().load_overload(sig, target_context)
         except Exception:  # what reading a damaged file raises depends on the damage
+            LOG.info("machine code in %s cannot be read; it is compiled again", self.cache_path, exc_info=True)
             self._forget()
             return None
 
