@@ -42,7 +42,7 @@ def median_ms(seconds: list[float]) -> float:
 
 
 def time_pass(cloud: Cloud, part: Part, depth: bool = True) -> Callable[[], float]:
-    """A function that renders a cloud with gradients of all Gaussians, as `rasterization` does; returns a part's seconds."""
+    """A function that renders a cloud as `rasterization` does, with all gradients; it returns seconds."""
     leaves = leaves_of(cloud)
     size = (cloud.height, cloud.width)
     grads = [torch.ones(*size, cloud.colors.shape[1]), *([torch.ones(size)] if depth else [])]
