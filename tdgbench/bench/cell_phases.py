@@ -18,7 +18,7 @@ from omegaconf import DictConfig
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.environment import SAME_BYTES, code_version
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.record_of_run import describe_scene, describe_training
+from tdgbench.bench.record_of_run import describe_scene, describe_training, state_doubts
 from tdgbench.bench.scores import render_views, score_training_views, write_renders
 from tdgbench.bench.setup import SetupObserver, Training, loader_of, set_up
 from tdgbench.cells.cameras import write_cameras
@@ -136,7 +136,7 @@ class CellRun(SetupObserver):
     def train(self, cell: IdentifiedCell, scene: Scene) -> TrainedCell:
         """Set the method up and train it, from the last checkpoint, if there is one, to the end."""
         if cell.method.trains:
-            self.progress.start(len(scene.train))
+            self.progress.start(len(scene.train), instantiate(self.cfg.budget).may_end_early)
         scorer: Scorer = instantiate(self.cfg.metrics)
         self.record.backend = training_backend(self.cfg.backend.name)
         describe_scene(self.record, scene, scorer, self.cfg.backend.name)
@@ -145,7 +145,10 @@ class CellRun(SetupObserver):
         span, is_gray = ready.scored.temperature, ready.scored.channels == 1
         self.record.temperature_range = None if span is None or not is_gray else [span.min, span.max]
         self._warn_if_slow(ready.trainer)
-        for note in ready.trainer.method.notes:
+        method = ready.trainer.method
+        if not method.trains:
+            state_doubts(self.record, [*method.doubts(ready.scored), *scene.doubts], scene.folder)
+        for note in method.notes:
             self.progress.say(note)
         with self.phase("train"):
             checkpoint = self._open_checkpoint()
@@ -153,7 +156,8 @@ class CellRun(SetupObserver):
                 self._announce(ready)
             log = checkpoint.resume(ready.trainer)
             try:
-                log = train(ready.trainer, self.progress.line, checkpoint.write_if_due, log)
+                trainer, show = ready.trainer, self.progress.line
+                log = train(trainer, lambda line: show(line, trainer.last_iteration), checkpoint.write_if_due, log)
             except TrainingError:
                 self._discard(checkpoint)  # training from it would end at the same iteration
                 raise

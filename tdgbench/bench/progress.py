@@ -11,6 +11,7 @@ from rich.text import Text
 
 from tdgbench.text import duration, one_line
 from tdgbench.training.loop import LogLine
+from tdgbench.training.trainer import LastIteration
 
 INTERVAL = 60.0  # least number of seconds between two lines on one cell
 
@@ -20,7 +21,7 @@ class CellProgress:
 
     On a terminal, a bar that is gone at the end. Elsewhere (a file, a pipe, SLURM's log) plain lines, each of which
     names its cell, since several processes may print to one file: one at the start, then at most one a minute. The time
-    left is that at the pace since the line before.
+    left is that at the pace since the line before, "at most" while a rule may end the training sooner.
 
     clock: seconds, for the lines. alone: no other process shows a cell on the same terminal; else lines there, too.
     """
@@ -42,10 +43,10 @@ class CellProgress:
         self._title = title
         self._bar.update(self._task, description=title)
 
-    def start(self, views: int) -> None:
-        """Say that the cell has to run: it trains on so many views."""
+    def start(self, views: int, is_limit: bool = False) -> None:
+        """Say that the cell has to run: it trains on so many views. is_limit: a rule may end the training sooner."""
         if not self._shows_bar:
-            self.say(f"starts, {self._iterations} iterations on {views} training views")
+            self.say(f"starts, {'at most ' * is_limit}{self._iterations} iterations on {views} training views")
 
     def phase(self, name: str) -> None:
         self._phase, self._mark = name, None
@@ -60,12 +61,15 @@ class CellProgress:
         self._bar.update(self._task, completed=done, total=total)
         self._report(done, total, f"{self._phase}, {done} of {total} views")
 
-    def line(self, line: LogLine) -> None:
-        """Show a line of the training log."""
+    def line(self, line: LogLine, last: LastIteration) -> None:
+        """Show a line of the training log. last: as the trainer knows it by now."""
         numbers = f"loss {line.loss:.4f}", f"PSNR {line.psnr:.1f} dB", f"{line.gaussians:,} Gaussians"
-        self._bar.update(self._task, completed=line.iteration, state="  ".join(numbers))
-        state = f"iteration {line.iteration} of {self._iterations}, {', '.join(numbers)}"
-        self._report(line.iteration, self._iterations, state)
+        at_most = "at most " * last.is_limit
+        self._bar.update(
+            self._task, completed=line.iteration, total=last.number, state="  ".join(numbers), at_most=at_most.strip()
+        )
+        state = f"iteration {line.iteration} of {at_most}{last.number}, {', '.join(numbers)}"
+        self._report(line.iteration, last.number, state, at_most or "about ")
 
     def end(self) -> None:
         self._bar.stop()
@@ -80,26 +84,27 @@ class CellProgress:
             TextColumn("{task.percentage:>3.0f}%"),
             TextColumn("{task.fields[state]}"),
             TimeElapsedColumn(),
+            TextColumn("{task.fields[at_most]}"),
             TimeRemainingColumn(),
             console=self._console if self._shows_bar else Console(quiet=True),
             transient=True,
             disable=not self._shows_bar,
         )
-        self._task = self._bar.add_task(title, total=None, state="")
+        self._task = self._bar.add_task(title, total=None, state="", at_most="")
 
-    def _report(self, done: int, total: int, state: str) -> None:
-        """Print what the phase has done, if a line is due."""
+    def _report(self, done: int, total: int, state: str, how_sure: str = "about ") -> None:
+        """Print what the phase has done, if a line is due. how_sure: words before the time left."""
         now = self._clock()
         if self._is_due():
-            self.say(state + self._left(now, done, total))
+            self.say(state + self._left(now, done, total, how_sure))
             self._mark = now, done
         self._mark = self._mark or (now, done)
 
-    def _left(self, now: float, done: int, total: int) -> str:
+    def _left(self, now: float, done: int, total: int, how_sure: str) -> str:
         if self._mark is None or done <= self._mark[1]:
             return ""
         then, before = self._mark
-        return f", about {duration((total - done) * (now - then) / (done - before))} left"
+        return f", {how_sure}{duration((total - done) * (now - then) / (done - before))} left"
 
     def _is_due(self) -> bool:
         return not self._shows_bar and self._clock() - self._last >= INTERVAL

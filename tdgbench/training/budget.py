@@ -55,6 +55,11 @@ class Budget:
         return [rule for rule in self.rules.values() if rule is not None]
 
     @property
+    def may_end_early(self) -> bool:
+        """Whether a rule may end a training before its last iteration."""
+        return any(rule.ends_training for rule in self.active_rules)
+
+    @property
     def schedule_length(self) -> int:
         """Iterations over which methods spread their schedules: those after which most trainings have ended."""
         return min(self.iterations, self.expected_iterations or self.iterations)

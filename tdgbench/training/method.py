@@ -110,3 +110,10 @@ class Method:
         Raises SceneError, which names the file, where they do not fit the scene.
         """
         raise NotImplementedError
+
+    def doubts(self, scene: Scene) -> Sequence[str]:
+        """Return why what was made elsewhere may not be of this scene's views, for the record and the tables.
+
+        It is called once, after the set-up of a method that does not train, while the scene's images are at hand.
+        """
+        return ()

@@ -66,6 +66,11 @@ class Stopping(Part):
         """Take the loss of an iteration, after its forward pass; return whether training may end from here on."""
         raise NotImplementedError
 
+    @property
+    def ends_at(self) -> int | None:
+        """The last iteration of the stage, once the rule has chosen it."""
+        return None
+
 
 class RandomStream(Part):
     """A generator of random numbers."""

@@ -119,6 +119,16 @@ class Settling(Stopping):
             self._slow_down(iteration)
         return self.curriculum.has_ended
 
+    @property
+    def ends_at(self) -> int | None:
+        settled_at = self.curriculum.settled_at
+        return settled_at + self._tail if settled_at else None
+
+    @property
+    def _tail(self) -> int:
+        """Iterations after settling."""
+        return max(1, round(self.rule.tail * self.curriculum.settled_at))
+
     def _check(self, iteration: int) -> None:
         """Render the held-out views; if they stall, go on to the next resolution or settle."""
         curriculum, rule = self.curriculum, self.rule
@@ -150,8 +160,7 @@ class Settling(Stopping):
 
     def _slow_down(self, iteration: int) -> None:
         """Set the learning rates of an iteration of the tail; end the training after the last one."""
-        length = max(1, round(self.rule.tail * self.curriculum.settled_at))
-        progress = min(1.0, (iteration - self.curriculum.settled_at) / length)
+        progress = min(1.0, (iteration - self.curriculum.settled_at) / self._tail)
         for part in self.parts.values():
             part.set_slowdown(self.rule.slowdown**progress)
         self.curriculum.has_ended = progress == 1.0
@@ -194,6 +203,11 @@ class AllSettled(Stopping):
     def reached(self, iteration: int, loss: float) -> bool:
         reached = [rule.reached(iteration, loss) for rule in self.rules.values()]  # all of them look
         return all(reached)
+
+    @property
+    def ends_at(self) -> int | None:
+        ends = [rule.ends_at for rule in self.rules.values()]
+        return None if None in ends else max(end for end in ends if end is not None)
 
 
 class LastWindow(NamedTuple):

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,6 +23,13 @@ from tdgbench.training.settling import AllSettled
 from tdgbench.training.splat_model import SplatModel
 
 MIN_MSE = 1e-10
+
+
+class LastIteration(NamedTuple):
+    """The last iteration of a training, counted from its first. is_limit: a rule may end it sooner."""
+
+    number: int
+    is_limit: bool
 
 
 class Trainer:
@@ -77,6 +85,15 @@ class Trainer:
     def is_last_stage(self) -> bool:
         """Whether no stage follows the one that runs."""
         return self.stage_number + 1 == len(self.stages)
+
+    @property
+    def last_iteration(self) -> LastIteration:
+        """When the training ends: as a rule of the last stage has chosen, else with the budget, or by a rule sooner."""
+        budget = self.whole_context.budget
+        chosen = None if self.stopping is None or not self.is_last_stage else self.stopping.ends_at
+        if chosen is not None:
+            return LastIteration(min(self.stage_start + chosen, budget.iterations), is_limit=False)
+        return LastIteration(budget.iterations, budget.may_end_early)
 
     @property
     def parts(self) -> dict[str, Part]:

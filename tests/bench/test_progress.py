@@ -9,6 +9,7 @@ from rich.console import Console
 
 from tdgbench.bench.progress import CellProgress
 from tdgbench.training.loop import LogLine
+from tdgbench.training.trainer import LastIteration
 
 
 class Clock:
@@ -39,10 +40,11 @@ def test_a_bar_shows_loss_psnr_and_count():
     progress.phase("prior")
     progress.count(3, 9)
     progress.phase("train")
-    progress.line(line(50))
+    progress.line(line(50), LastIteration(70, is_limit=True))
     progress.end()
     text = out.getvalue()
     assert "tdg on a/c" in text and "loss 0.1234" in text and "27.5 dB" in text and "12,345 Gaussians" in text
+    assert "71%" in text and "at most" in text
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -57,7 +59,7 @@ def test_one_line_at_the_start_then_at_most_one_a_minute(clock, terminal):
     progress.start(8)
     progress.phase("train")
     for iteration in range(1, 1001):  # 0.5 s each
-        progress.line(line(iteration))
+        progress.line(line(iteration), LastIteration(1000, is_limit=False))
         clock.seconds += 0.5
     progress.end()
     lines = out.getvalue().splitlines()
@@ -75,13 +77,31 @@ def test_the_time_left_is_that_at_the_latest_pace_also_after_a_checkpoint(clock)
     progress.begin("a")
     progress.phase("train")
     for iteration, seconds in ((601, 60), (701, 100), (801, 200)):
-        progress.line(line(iteration))
+        progress.line(line(iteration), LastIteration(1000, is_limit=False))
         clock.seconds += seconds
-    progress.line(line(901))
+    progress.line(line(901), LastIteration(1000, is_limit=False))
     assert [text.rpartition("about ")[2] for text in out.getvalue().splitlines()] == [
         "0:02:59 left",  # 299 at 100 in 60 s
         "0:03:19 left",  # 199 at 100 in 100 s
         "0:03:18 left",  # 99 at 100 in 200 s
+    ]
+
+
+def test_a_time_left_is_at_most_that_of_all_iterations_until_a_rule_has_chosen_the_last_one(clock):
+    out = StringIO()
+    progress = CellProgress(Console(file=out), 15_000, clock)
+    progress.begin("a")
+    progress.start(8, is_limit=True)
+    progress.phase("train")
+    for iteration, last in ((1, (15_000, True)), (601, (15_000, True)), (1201, (1320, False))):
+        progress.line(line(iteration), LastIteration(*last))
+        clock.seconds += 60
+    assert [
+        text.replace(", loss 0.1234, PSNR 27.5 dB, 12,345 Gaussians", "") for text in out.getvalue().splitlines()
+    ] == [
+        "a: starts, at most 15000 iterations on 8 training views",
+        "a: iteration 601 of at most 15000, at most 0:24:00 left",
+        "a: iteration 1201 of 1320, about 0:00:12 left",
     ]
 
 
@@ -109,7 +129,7 @@ def test_the_next_cell_begins_anew(clock):
         progress.begin(title)
         progress.start(8)
         progress.phase("train")
-        progress.line(line(1))
+        progress.line(line(1), LastIteration(10, is_limit=False))
         progress.end()
         clock.seconds += 100
     assert out.getvalue().count("\n") == 2 and "left" not in out.getvalue()

@@ -217,15 +217,17 @@ def test_held_out_views_are_spread_and_few_views_are_all_trained_on():
 def test_a_method_stops_by_it(small_gray_scene):
     trainer = ready_to_train(small_gray_scene, "tdg", 60, CONF, "budget.density.stop=10")
     assert isinstance(trainer.stopping, Settling) and len(trainer.context.curriculum("thermal").held_out) == 1
-    log = train(trainer)
+    last = []
+    log = train(trainer, after_iteration=lambda log: last.append(trainer.last_iteration))
     assert log.iterations == 15 and log.ended  # checks at 5 and 10; the tail has 5
+    assert last == [(60, True)] * 9 + [(15, False)] * 6
     assert all(np.isclose(model.optimizer.slowdown, 0.1) for model in trainer.gaussians.values())
 
 
 @pytest.mark.parametrize(("first", "second"), [("rgb", "thermal"), ("thermal", "rgb")])
 def test_each_model_of_msmg_ends_by_its_own_images(small_gray_scene, tmp_path, first, second):
     """Both stall at the check at 10; the second is made to stall at 20, and trains for 10 iterations more."""
-    ends = {}
+    ends, last = {}, []
 
     def make():
         trainer = ready_to_train(small_gray_scene, "msmg", 60, CONF, "budget.density.stop=10")
@@ -236,10 +238,11 @@ def test_each_model_of_msmg_ends_by_its_own_images(small_gray_scene, tmp_path, f
 
     def note(log):
         ends[log.iterations] = trainer.parts[first].copy().means
+        last.append(trainer.last_iteration)
 
     trainer = make()
     log = train(trainer, after_iteration=note)
-    assert log.iterations > 25 and log.ended
+    assert log.iterations > 25 and log.ended and last[-1] == (log.iterations, False) and last[15] == (60, True)
     assert torch.equal(ends[15], ends[log.iterations]) and not torch.equal(ends[13], ends[14])
     assert set(log.lines[0].terms) == {"rgb", "thermal"} and set(log.lines[-1].terms) == {second}
     assert trainer.context.curricula[first].iterations == {1: 15}
