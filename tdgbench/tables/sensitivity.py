@@ -1,24 +1,27 @@
 """`tdgbench tables sensitivity DIR`: the stored renders scored by other conventions than the record's.
 
 Papers seldom say how their scores were computed. This shows how far a choice moves the scores, and whether it changes
-which method is better. A split or a value range cannot be changed without training, and is not among the choices.
+which method is better. A split cannot be changed without training, and is not among the choices. A range of °C can: of
+the stored values, clipped to it and scaled. The models would have been trained on values of that range, too.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import pandas as pd
+from PIL import Image
 from skimage.metrics import structural_similarity
 
 from tdgbench.cells.folder import TARGETS, CellFolder
 from tdgbench.cells.metric_settings import metric_settings, why_no_lpips
 from tdgbench.cells.record import Record
+from tdgbench.scenes.images import resize
 from tdgbench.scoring import METRICS, LPIPSOptions, Scorer
 from tdgbench.scoring.backbones import Net
 from tdgbench.scoring.lpips import Range
@@ -29,8 +32,16 @@ from tdgbench.scoring.scored_view import Border, Convention, ConventionName, Ima
 from tdgbench.tables.measures import MEASURES
 from tdgbench.tables.results import Cell
 
-COLUMNS = ["score", "convention", "cells", "mean_change", "largest_change", "pairs", "reversed", "other_best", "reason"]
+COLUMNS = [
+    "score", "convention", "cells", "mean_change", "largest_change", "pairs", "reversed", "other_best",
+    "rank_correlation", "reason",
+]  # fmt: skip
 RECORDED = "as recorded"  # the first choice of each score
+FEWEST_RANKED = 3  # cells that compete, of a rank correlation: that of two is always 1 or -1
+SIZES = {"half": 2, "a quarter": 4}  # native sizes: images are so much wider than what their sensor resolves
+FILTERS = ("box", "nearest", "bilinear", "lanczos")  # of Pillow
+RANGES = {"all of the truth": (0.0, 100.0), "1 % to 99 %": (1.0, 99.0), "5 % to 95 %": (5.0, 95.0)}  # percentiles
+MOST_CLIPPED = 0.002  # share of the truth at an end of the stored range; where more is, values beyond are unknown
 
 Weights = Mapping[str, str]  # file by network
 _NO_WEIGHTS: Weights = {}
@@ -43,8 +54,11 @@ class Choice(NamedTuple):
     of_cell: Callable[[np.ndarray], float] = np.mean
 
 
-def choices(record: Record, weights: Weights) -> dict[str, dict[str, Choice]]:
-    """Return the ways to compute each score, by score and name; the record's own comes first."""
+def choices(record: Record, weights: Weights, pairs: Sequence[ImagePair]) -> dict[str, dict[str, Choice]]:
+    """Return the ways to compute each score, by score and name; the record's own comes first.
+
+    pairs: of all test views, whose temperatures give the ranges.
+    """
     scorer = _scorer(record, weights)
     psnr, ssim, lpips = (_image_metric(name) for name in ("psnr", "ssim", "lpips"))
     border: Border = "valid" if scorer.settings.ssim_border == "zero" else "zero"
@@ -56,19 +70,23 @@ def choices(record: Record, weights: Weights) -> dict[str, dict[str, Choice]]:
             "of the mean squared error of all views": Choice(psnr, lambda dB: psnr_of((10 ** (-dB / 10)).mean())),
             "mean over channels": Choice(lambda pair: channel_psnr(*pair.pixels)),
             "after gain and offset": Choice(lambda pair: psnr_affine(*pair.pixels)),
-            "of images half as wide": Choice(lambda pair: psnr(halved(pair))),
+            **{
+                f"°C range: {name}": Choice(partial(_psnr_in_range, record, pairs, ends))
+                for name, ends in RANGES.items()
+            },
+            **_at_native_sizes(psnr),
         },
         "ssim": {
             RECORDED: Choice(ssim),
             f"border {border}": Choice(lambda pair: ssim(replace(pair, convention=Convention(border, scorer.lpips)))),
             "uniform window of 7×7": Choice(_uniform_ssim),
-            "of images half as wide": Choice(lambda pair: ssim(halved(pair))),
+            **_at_native_sizes(ssim),
         },
         "lpips": {
             RECORDED: Choice(lpips),
             f"range {range_}": Choice(_lpips_by(_scorer(record, weights, lpips_range=range_))),
             **{f"network {net}": Choice(_lpips_by(_scorer(record, weights, net=net))) for net in nets},
-            "of images half as wide": Choice(lambda pair: lpips(halved(pair))),
+            "of images half as wide, by box": Choice(lambda pair: lpips(resampled(pair, 2, "box"))),
         },
     }
 
@@ -79,7 +97,9 @@ def sensitivity(cells: Iterable[Cell], weights: Weights = _NO_WEIGHTS) -> pd.Dat
     weights: files with backbones of LPIPS, for networks that torch's cache lacks.
     mean_change, largest_change: of a cell's score against the record's convention. pairs: of cells that differ in
     method, initial points or variant, on one scene with one seed. reversed: in which the other cell is better now.
-    other_best: scenes and seeds in which another cell is the best one. reason: why a convention has no values.
+    other_best: scenes and seeds in which another cell is the best one. rank_correlation: Spearman's, of the scores of
+    cells that compete, mean over scenes and seeds with FEWEST_RANKED or more; NaN: there are none. reason: why some
+    cells, `cells` less than all, have no value.
     """
     cells = list(cells)
     if not cells:
@@ -91,16 +111,15 @@ def sensitivity(cells: Iterable[Cell], weights: Weights = _NO_WEIGHTS) -> pd.Dat
     for score, name in scored[0][0]:
         if name == RECORDED:
             continue
-        reasons = [why[score, name] for _, why in scored if (score, name) in why]
+        reason = next((why[score, name] for _, why in scored if (score, name) in why), "")
         before, after = (np.array([values[score, key] for values, _ in scored]) for key in (RECORDED, name))
-        change = after - before
-        if reasons:
-            rows.append([score, name, 0, np.nan, np.nan, 0, 0, 0, reasons[0]])
-        else:
-            rows.append([
-                score, name, len(cells), change.mean(), change[np.abs(change).argmax()],
-                *_order_changes(cells, score, before, after), "",
-            ])  # fmt: skip
+        known = np.flatnonzero(np.isfinite(before) & np.isfinite(after))
+        before, after = before[known], after[known]
+        changes = (np.nan, np.nan)
+        if len(known):
+            changes = ((after - before).mean(), (after - before)[np.abs(after - before).argmax()])
+        order = _order_changes([cells[i] for i in known], score, before, after)
+        rows.append([score, name, len(known), *changes, *order, reason])
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
@@ -108,7 +127,7 @@ def _scores(cell: Cell, weights: Weights) -> tuple[dict[tuple[str, str], float],
     """Return a cell's values by score and convention, NaN where there is none, and the reasons for these."""
     values, reasons = {}, {}
     pairs = list(stored_pairs(cell, _scorer(cell.record, weights).settings))
-    for score, by_name in choices(cell.record, weights).items():
+    for score, by_name in choices(cell.record, weights, pairs).items():
         for name, choice in by_name.items():
             values[score, name] = np.nan
             try:
@@ -119,8 +138,8 @@ def _scores(cell: Cell, weights: Weights) -> tuple[dict[tuple[str, str], float],
     return values, reasons
 
 
-def _order_changes(cells: list[Cell], score: str, before: np.ndarray, after: np.ndarray) -> tuple[int, int, int]:
-    """Return pairs of cells that compete, those whose order is reversed, and groups of them with another best."""
+def _order_changes(cells: list[Cell], score: str, before: np.ndarray, after: np.ndarray) -> tuple[int, int, int, float]:
+    """Return pairs of cells that compete, those whose order is reversed, groups with another best, rank correlation."""
     groups: dict[tuple[Any, ...], list[int]] = {}
     for index, cell in enumerate(cells):
         groups.setdefault((*cell.dataset_and_scene, cell.record.seed), []).append(index)
@@ -130,7 +149,20 @@ def _order_changes(cells: list[Cell], score: str, before: np.ndarray, after: np.
     best = sum(
         group[np.argmax(sign * before[group])] != group[np.argmax(sign * after[group])] for group in groups.values()
     )
-    return len(pairs), int(swapped), int(best)
+    ranked = [rank_correlation(before[group], after[group]) for group in groups.values()]
+    return len(pairs), int(swapped), int(best), float(pd.Series(ranked, dtype=float).mean())
+
+
+def rank_correlation(before: np.ndarray, after: np.ndarray) -> float:
+    """Return Spearman's rank correlation of scores (N,); NaN for fewer than FEWEST_RANKED, or where all are equal.
+
+    >>> rank_correlation(np.array([1.0, 2.0, 3.0]), np.array([1.0, 9.0, 4.0]))
+    0.5
+    """
+    if len(before) < FEWEST_RANKED:
+        return float("nan")
+    ranks = pd.DataFrame({"before": before, "after": after}).rank()
+    return round(float(ranks["before"].corr(ranks["after"])), 12)
 
 
 def stored_pairs(cell: CellFolder, convention: Convention) -> Iterator[ImagePair]:
@@ -145,18 +177,52 @@ def stored_pairs(cell: CellFolder, convention: Convention) -> Iterator[ImagePair
         yield ImagePair(image, target, convention, valid)
 
 
-def halved(pair: ImagePair) -> ImagePair:
-    """Return images of half the width and height: means of 2×2 pixels, valid where all four are."""
-    height, width = (size // 2 for size in pair.image.shape[:2])
+def _at_native_sizes(score: Callable[[ImagePair], float]) -> dict[str, Choice]:
+    """Return the ways to compute a score at sampled native sizes, to which sampled filters bring the images."""
 
-    def blocks(pixels: np.ndarray) -> np.ndarray:
-        return pixels[: 2 * height, : 2 * width].reshape(height, 2, width, 2, -1)
+    def of_size(divisor: int, by: str) -> Choice:
+        return Choice(lambda pair: score(resampled(pair, divisor, by)))
 
-    image, target = (blocks(pixels).mean(axis=(1, 3)) for pixels in (pair.image, pair.target))
+    sampled = itertools.product(SIZES.items(), FILTERS)
+    return {f"of images {name} as wide, by {by}": of_size(divisor, by) for (name, divisor), by in sampled}
+
+
+def resampled(pair: ImagePair, divisor: int, by: str) -> ImagePair:
+    """Return images of 1/divisor of the width and height by a filter, in [0, 1], valid where all that it reads is."""
+    height, width = (size // divisor for size in pair.image.shape[:2])
+    if not height or not width:
+        raise NotApplicableError(f"its images have fewer than {divisor}×{divisor} px")
+
+    def shrunk(pixels: np.ndarray) -> np.ndarray:
+        whole = pixels[: divisor * height, : divisor * width].astype(np.float32)
+        return resize(whole, width, height, Image.Resampling[by.upper()])
+
+    image, target = (shrunk(pixels).clip(0, 1) for pixels in (pair.image, pair.target))
     if pair.valid is None:
         return replace(pair, image=image, target=target)
-    valid = blocks(pair.valid[..., None]).min(axis=(1, 3))
+    valid = np.isclose(shrunk(pair.valid[..., None]), 1, rtol=0, atol=1e-5)
+    if not valid.any():
+        raise NotApplicableError("the masks leave no pixel at this size")
     return replace(pair, image=image * valid, target=target * valid, valid=valid[..., 0])
+
+
+def _psnr_in_range(
+    record: Record, pairs: Sequence[ImagePair], percentiles: tuple[float, float], pair: ImagePair
+) -> float:
+    """Return the PSNR of a pair where percentiles of the true temperatures of all test views are 0 and 1.
+
+    Raises NotApplicableError where the images are no temperatures, or the range is wider than what they hold.
+    """
+    if record.temperature_range is None:
+        raise NotApplicableError("the images are not linear in °C")
+    truth = np.concatenate([one.pixels[1].ravel() for one in pairs])
+    low, high = np.percentile(truth, percentiles)
+    if percentiles == RANGES["all of the truth"] and max((truth <= 0).mean(), (truth >= 1).mean()) > MOST_CLIPPED:
+        raise NotApplicableError("the truth is clipped to the recorded range of °C: what lies beyond it is unknown")
+    if not low < high:
+        raise NotApplicableError("the true temperatures are all equal")
+    image, target = (((pixels - low) / (high - low)).clip(0, 1) for pixels in pair.pixels)
+    return psnr_of(float(np.mean((image.astype(np.float64) - target) ** 2)))
 
 
 def _image_metric(name: str) -> Callable[[ImagePair], float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from itertools import groupby
 
+import numpy as np
 import pandas as pd
 from rich.table import Column, Table
 from rich.text import Text
@@ -88,15 +89,17 @@ def show_sensitivity(sensitivity: pd.DataFrame) -> None:
     """Print how far each convention moves the scores, and what it changes in the order of methods."""
     rows = []
     for row in sensitivity.to_dict("records"):
-        numbers = ["n/a"] * 4
-        if not row["reason"]:
+        numbers = ["n/a"] * 5
+        if row["cells"]:
             changes = (as_text(row["score"], row[name], form="+.3f") for name in ("mean_change", "largest_change"))
-            numbers = [*changes, f"{row['reversed']} of {row['pairs']}", row["other_best"]]
+            ranks = "n/a" if pd.isna(row["rank_correlation"]) else f"{row['rank_correlation']:.2f}"
+            numbers = [*changes, f"{row['reversed']} of {row['pairs']}", row["other_best"], ranks]
         rows.append([MEASURES[row["score"]].label, row["convention"], *numbers])
-    heads = ["score", "convention", "change: mean", "largest", "reversed pairs", "other best"]
+    heads = ["score", "convention", "change: mean", "largest", "reversed pairs", "other best", "ranks agree (Spearman)"]
     show_table(pd.DataFrame(rows, columns=heads))
-    for reason in sensitivity.loc[sensitivity["reason"] != "", "reason"].unique():
-        say(one_line(f"n/a: {reason}"))
+    of_some = np.where(sensitivity["cells"] > 0, " in some cells", "")
+    for reason in ("n/a" + of_some + ": " + sensitivity["reason"])[sensitivity["reason"] != ""].unique():
+        say(one_line(reason))
 
 
 def show_findings(findings: list[str]) -> None:

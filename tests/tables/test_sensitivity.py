@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import numpy as np
@@ -14,7 +15,7 @@ from skimage.transform import downscale_local_mean
 
 from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.tables.results import read_results
-from tdgbench.tables.sensitivity import sensitivity
+from tdgbench.tables.sensitivity import FILTERS, SIZES, sensitivity
 from tdgbench.tables.tables_command import main
 from tests.helpers.records import write
 from tests.scoring.weights import random_state
@@ -74,7 +75,7 @@ def test_each_convention_agrees_with_scikit_image(tmp_path):
         return float(table.loc[(score, name), "mean_change"])
 
     assert change("psnr", "of the mean squared error of all views") == pytest.approx(pooled - psnr, abs=1e-5)
-    assert change("psnr", "of images half as wide") == pytest.approx(half - psnr, abs=1e-4)
+    assert change("psnr", "of images half as wide, by box") == pytest.approx(half - psnr, abs=1e-4)
     assert change("psnr", "mean over channels") == pytest.approx(0, abs=1e-9)  # gray
     assert change("ssim", "uniform window of 7×7") - change("ssim", "border valid") == pytest.approx(
         _cropped_away(uniform, pairs) - valid, abs=1e-6
@@ -95,6 +96,42 @@ def test_a_pair_of_methods_whose_order_depends_on_the_convention_is_counted(tmp_
     table = table_of(tmp_path)
     row = table.loc[("psnr", "of the mean squared error of all views")]
     assert (row["pairs"], row["reversed"], row["other_best"]) == (1, 1, 1)
+
+
+def test_ranks_of_three_methods_are_correlated_and_those_of_two_are_not(tmp_path):
+    for method, error in (("tdg", 1.0), ("msmg", 12.0)):
+        cell(tmp_path / "x", method, [error, error])
+    assert set(table_of(tmp_path)["rank_correlation"]) == {"n/a"}
+    cell(tmp_path / "x", "3dgs", [2.0, 30.0])  # a good view and a bad one: 2nd by the mean of PSNR, 3rd by the errors
+    found = table_of(tmp_path)["rank_correlation"]
+    assert found["psnr", "of the mean squared error of all views"] == "0.5"
+    assert {found["psnr", f"of images {size} as wide, by {by}"] for size, by in itertools.product(SIZES, FILTERS)} == {
+        "1.0"
+    }
+
+
+def test_psnr_in_other_ranges_of_degrees(tmp_path):
+    """Truths of 60 to 189 of 255: all of it is 0.506 of the range, whatever its °C."""
+    folder = cell(tmp_path / "x", "tdg", [2.0, 12.0])
+    assert "not linear in °C" in table_of(tmp_path)["reason"]["psnr", "°C range: 1 % to 99 %"]
+    record = json.loads((folder / RECORD_FILE).read_text())
+    (folder / RECORD_FILE).write_text(json.dumps(record | {"temperature_range": [-22.0, 7.0]}))
+    truths = np.array([b for _, b in images(folder)])
+    ends = truths.min(), truths.max()
+    expected = np.mean(
+        [
+            peak_signal_noise_ratio(
+                *((np.clip(i, *ends) - ends[0]) / (ends[1] - ends[0]) for i in (b, a)), data_range=1
+            )
+            - peak_signal_noise_ratio(b, a, data_range=1)
+            for a, b in images(folder)
+        ]
+    )
+    found = table_of(tmp_path)["mean_change"]
+    assert float(found["psnr", "°C range: all of the truth"]) == pytest.approx(expected, abs=1e-4)
+    assert float(found["psnr", "°C range: 5 % to 95 %"]) < expected < -4
+    picture(folder / "targets" / "0.png", np.zeros((24, 32), np.uint8))
+    assert "what lies beyond it is unknown" in table_of(tmp_path)["reason"]["psnr", "°C range: all of the truth"]
 
 
 def test_a_network_without_weights_is_na_with_the_reason(tmp_path, monkeypatch):
