@@ -1,4 +1,4 @@
-"""`tdgbench data get|check|prepare|export|poses`."""
+"""`tdgbench data get|sample|check|prepare|export|poses`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from types import ModuleType
 
 ACTIONS = {
     "get": "download a published data set",
+    "sample": "write a built-in scene as files",
     "check": "say what is in a folder of scenes",
     "prepare": "make a scene of camera files",
     "export": "write a scene as other systems read it",

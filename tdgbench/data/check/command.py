@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
 def print_table(root: Path, checks: list[SceneCheck]) -> None:
     """Print one row per scene, then problems, doubts, notes and what was assumed, one line each."""
     table = Table(title=f"Scenes in {printable(str(root))}", title_justify="left")
-    for heading in ("scene", "layout", "views", "split", "size", "ch", "range", "masked", "edges, px", "status"):
+    for heading in ("scene", "layout", "views", "split", "size", "ch", "range", "masked", "edges x, y, px", "status"):
         table.add_column(heading, overflow="fold")
     for check in checks:
         table.add_row(*_row(check))
@@ -82,7 +82,7 @@ def _row(check: SceneCheck) -> list[str]:
         str(check.channels),
         _range(check),
         "n/a" if check.masked_share is None else f"{100 * check.masked_share:.1f} %",
-        f"{offset.px:.1f} ± {offset.spread:.1f}" if isinstance(offset, Offset) else "n/a",
+        f"{offset.x:+.1f}, {offset.y:+.1f} ± {offset.spread:.1f}" if isinstance(offset, Offset) else "n/a",
         status,
     ]
 

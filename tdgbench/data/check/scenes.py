@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
+from tdgbench.data.check.registration import registration
 from tdgbench.data.check.reprojection import wrong_views
 from tdgbench.scenes import Dataset, FolderDataset, ReadOptions, RegisteredDataset, Scene, SceneError, registry
 from tdgbench.scenes.datasets import outline_of
@@ -142,6 +143,7 @@ def _described(scene: Scene, dataset: str) -> SceneCheck:
         notes.append(f"the sparse points do not project to where {len(wrong)} views show them; were cameras edited?")
         wrong = []
     offset, unread = _edge_offset(scene)
+    doubts, uncertain = registration(scene, offset) if isinstance(offset, Offset) else ([], [])
     return SceneCheck(
         name=scene.name,
         dataset=dataset,
@@ -159,9 +161,9 @@ def _described(scene: Scene, dataset: str) -> SceneCheck:
         points=None if scene.points is None else len(scene.points.points),
         edge_offset=offset,
         problems=[*wrong, *unread],
-        doubts=scene.doubts,
+        doubts=[*scene.doubts, *doubts],
         assumed=scene.assumed,
-        notes=notes,
+        notes=[*notes, *uncertain],
     )
 
 

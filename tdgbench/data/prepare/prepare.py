@@ -85,7 +85,9 @@ def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, 
     source: pycolmap.Camera = no_distortion(capture.kind.rgb) if structure is None else structure.camera
     grid = make_grid(source, mapping, capture.kind.thermal)
     report.assumptions += _about_images(mapping, options)
-    report.size = grid.size
+    report.size, report.rgb_px = grid.size, grid.crop.pinhole.focal_length_x / float(grid.K[0, 0])
+    if mapping.stated is not None and not options.thermal_alone:
+        report.mapping = mapping.stated.real_to_ir, mapping.stated.offset_x, mapping.stated.offset_y
     _write_views(part, capture, grid, mapping, own, report)
     radiometry = None if capture.kind.is_celsius else read_radiometry(folder / FILE)
     if radiometry is not None:

@@ -40,6 +40,10 @@ class Report:
     rgb_size: tuple[int, int] | None = None
     thermal_size: tuple[int, int] | None = None
     size: tuple[int, int] | None = None
+    mapping: tuple[float, float, float] | None = (
+        None  # RATIO, X and Y of --mapping; None of a homography, or without RGB
+    )
+    rgb_px: float = 1.0  # px of the RGB images per px of the output
     temperature: tuple[float, float] | None = None  # of image values 0 and 1, where images show them
     camera: str | None = None
     models: list[int] = field(default_factory=list)  # registered images of each model that COLMAP found

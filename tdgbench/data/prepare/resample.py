@@ -33,6 +33,7 @@ class Mapping:
 
     thermal_from_rgb: np.ndarray
     assumption: str
+    stated: PhotoMapping | None = None  # the same as ratio and offset, unless it is more than these
 
     def apply(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return thermal x and y of RGB positions of any shape, in px."""
@@ -58,9 +59,8 @@ def same_view(rgb: Size, thermal: Size) -> Mapping:
             "Say where the thermal image lies: --mapping RATIO X Y, or --homography FILE"
         )
     scale = np.diag([thermal[0] / rgb[0], thermal[1] / rgb[1], 1.0])
-    if rgb == thermal:
-        return Mapping(scale, "thermal and RGB images are aligned pixel by pixel")
-    return Mapping(scale, "thermal and RGB images show the same field of view (no offset, no parallax)")
+    said = "are aligned pixel by pixel" if rgb == thermal else "show the same field of view (no offset, no parallax)"
+    return Mapping(scale, f"thermal and RGB images {said}", PhotoMapping(1.0, 0.0, 0.0))
 
 
 def inside_photo(stated: PhotoMapping, rgb: Size, thermal: Size, by: str) -> Mapping:
@@ -80,6 +80,7 @@ def inside_photo(stated: PhotoMapping, rgb: Size, thermal: Size, by: str) -> Map
         matrix,
         f"the thermal image covers 1/{stated.real_to_ir:.4g} of the RGB image's width, its centre {stated.offset_x:g}, "
         f"{stated.offset_y:g} px off ({by}); one mapping for all distances, so near objects have parallax",
+        stated,
     )
 
 

@@ -1,5 +1,7 @@
 import json
+import shlex
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +10,11 @@ import pytest
 from PIL import Image
 
 from tdgbench.data.check.alignment import Offset
+from tdgbench.data.check.registration import registration
 from tdgbench.data.check.scenes import check_scenes, find_place
+from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.scenes import ReadOptions
+from tdgbench.scenes.formats import PhotoMapping
 from tdgbench.scenes.registry import SCENES
 from tdgbench.scenes.synthetic import SyntheticDataset
 from tests.helpers.layouts import write_downloaded_thermalmix, write_rgbt_scenes, write_thermalmix, write_thermoscenes
@@ -106,16 +111,37 @@ def test_masked_pixels_and_missing_photos(tmp_path, small_gray_scene):
     assert any("1 views have no RGB image" in note for note in check.notes)
 
 
-def test_offset_of_a_made_scene(tmp_path, aligned_scene):
-    folder = write_rgbt_scenes(aligned_scene, tmp_path / "scene")
-    check = checked(folder)[1]["scene"]
-    assert isinstance(check.edge_offset, Offset) and check.edge_offset.px < 0.5
-    for path in (folder / "thermal").rglob("*.jpg"):
-        with Image.open(path) as image:
-            pixels = np.roll(np.asarray(image), (3, 4), axis=(0, 1))
-        Image.fromarray(pixels).save(path, quality=95)
-    shifted = checked(folder)[1]["scene"].edge_offset
-    assert (shifted.x - check.edge_offset.x, shifted.y - check.edge_offset.y) == pytest.approx((4, 3), abs=0.4)
+def test_unregistered_pairs_are_doubtful_and_the_command_mends_them(tmp_path, aligned_scene, monkeypatch):
+    """Thermal images are moved to the right and up; each remedy that is named brings them back."""
+    shutil.copytree(aligned_scene.folder, tmp_path / "scene")
+    monkeypatch.chdir(tmp_path)
+    aligned = checked(Path("scene"))[1]["scene"]
+    assert aligned.status == "ok" and aligned.edge_offset.px < 0.5
+    for path in Path("scene", "thermal").iterdir():
+        Image.fromarray(np.roll(np.asarray(Image.open(path)), (-3, 4), axis=(0, 1))).save(path)
+    check = checked(Path("scene"))[1]["scene"]
+    moved = (check.edge_offset.x - aligned.edge_offset.x, check.edge_offset.y - aligned.edge_offset.y)
+    assert check.status == "doubtful" and moved == pytest.approx((4, -3), abs=0.4)
+    assert check.doubts[0].startswith(f"thermal edges lie {check.edge_offset.x:.1f} px right of and ")
+    poses = PrepareOptions(poses=Path("scene"))
+    prepare_scene(Path("scene"), Path("prepared"), poses)
+    for place, said in (("capture", check), ("made", checked(Path("prepared"))[1]["prepared"])):
+        command = shlex.split(said.doubts[0].partition("Try: tdgbench data prepare ")[2].partition(",")[0])
+        assert command[:2] == ["scene", "NEW"] and command[-4:-2] == ["--mapping", "1"]
+        numbers = [float(number) for number in command[-2:]]
+        assert numbers == pytest.approx((-4, 3), abs=0.5)
+        prepare_scene(Path("scene"), Path(place), replace(poses, mapping=PhotoMapping(1, *numbers)))
+        mended = checked(Path(place))[1][place]
+        assert mended.status == "ok" and mended.edge_offset.px < 0.5
+
+
+def test_remedies_without_a_command_and_offsets_that_may_be_chance(tmp_path, aligned_scene):
+    scene = replace(aligned_scene, folder=write_rgbt_scenes(aligned_scene, tmp_path / "scene"))
+    (doubt,), notes = registration(scene, Offset(-2.0, 1.1, 1.2, 9))
+    assert "2.0 px left of and 1.1 px below" in doubt and "moved by +2.0, -1.1 px" in doubt and notes == []
+    doubts, (note,) = registration(scene, Offset(-2.0, 1.1, 2.0, 9))
+    assert doubts == [] and "may be chance" in note
+    assert registration(scene, Offset(-0.6, 0.6, 0.1, 9)) == ([], [])
 
 
 def test_broken_scenes_do_not_end_the_check(tmp_path, small_gray_scene):
