@@ -12,11 +12,12 @@ import torch
 
 from tdgbench.priors.prior import DepthPrior, Kind, PriorError
 from tdgbench.scenes import Scene, SceneError, View
-from tdgbench.scenes.formats import decode
+from tdgbench.scenes.formats import decode, header
 from tdgbench.scenes.inputs import hash_of, is_there, read_array
 
 OFFER = "prior.estimator.folder=DIR (maps made elsewhere)"
 RELEASED_FOLDER = "depthesti"  # folder of TDg's released code, inside the scene
+MOST_SAID = 20  # views that one message names
 LARGEST_COUNT = {"8-bit": 255, "16-bit": 65535}
 
 
@@ -25,7 +26,7 @@ class FilePrior:
 
     folder: None means `depthesti` in the scene's folder, as in TDg's release (TDg.py, lines 70 to 99). As there, a PNG
     is first resized bilinearly to the image's size; zeros then become unknown. An array of another size is resized by
-    the means of its known values. kind: of the values, see DepthPrior.
+    the means of its known values. A map has the aspect ratio of its image. kind: of the values, see DepthPrior.
     """
 
     def __init__(self, folder: str | None, kind: Kind) -> None:
@@ -33,22 +34,37 @@ class FilePrior:
         self.kind = kind
 
     def identity(self, scene: Scene) -> dict[str, object]:
+        """Return what the maps depend on. Raises PriorError that names the maps of all views that cannot be used."""
         folder = f"<scene>/{RELEASED_FOLDER}" if self.folder is None else str(self.folder)
-        digest = hashlib.sha256()
+        digest, problems = hashlib.sha256(), []
         for view in scene.train:
-            with _as_prior_error():
-                digest.update(hash_of(self._find(scene, view)))
+            try:
+                with _as_prior_error():
+                    digest.update(hash_of(self._find(scene, view)))
+                self.estimate(scene, view).check(view)
+            except PriorError as error:
+                problems.append(str(error))
+        if problems:
+            more = [f"and {len(problems) - MOST_SAID} more"] if len(problems) > MOST_SAID else []
+            lines = "\n  ".join([*problems[:MOST_SAID], *more])
+            raise PriorError(f"{len(problems)} of {len(scene.train)} training views have no map to use: {lines}")
         return {"estimator": "files", "folder": folder, "kind": self.kind, "files": digest.hexdigest()[:16]}
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
         path, (width, height) = self._find(scene, view), (view.camera.width, view.camera.height)
         with _as_prior_error():
-            if path.suffix != ".npy":
-                return DepthPrior(_read_png(path, (height, width)), self.kind)
-            values = read_array(path).astype(np.float32).squeeze()
-        if values.ndim != 2:
-            raise PriorError(f"{path} has shape {values.shape}; a depth map is (H, W)")
-        return DepthPrior(values, self.kind).resized(width, height)
+            is_array = path.suffix == ".npy"
+            values = read_array(path).astype(np.float32).squeeze() if is_array else _read_png(path)
+            if values.ndim != 2:
+                raise PriorError(f"{path} has shape {values.shape}; a depth map is (H, W)")
+            _check_size(path, values, scene, view)
+        if is_array:
+            return DepthPrior(values, self.kind).resized(width, height)
+        if values.shape != (height, width):
+            given = torch.from_numpy(values)[None, None]
+            resized = torch.nn.functional.interpolate(given, (height, width), mode="bilinear", align_corners=False)
+            values = resized[0, 0].numpy()
+        return DepthPrior(np.where(values > 0, values, np.float32(np.nan)), self.kind)
 
     def _find(self, scene: Scene, view: View) -> Path:
         if self.folder is not None:
@@ -72,6 +88,23 @@ class FilePrior:
         return path
 
 
+def _check_size(path: Path, values: np.ndarray, scene: Scene, view: View) -> None:
+    """Raise PriorError for a map (H, W) that cannot be of the view's image, which may have another size."""
+    (height, width), camera = values.shape, view.camera
+    if abs(width * camera.height - height * camera.width) > max(width, height):  # a pixel of rounding
+        raise PriorError(
+            f"{path} is {width}×{height} px and the image of view {view.name} {camera.width}×{camera.height} px: their "
+            "aspect ratios differ, so it is no map of this image; make it again"
+        )
+    if "lens" not in scene.assumed or (width, height) == (camera.width, camera.height) or view.thermal_path is None:
+        return
+    if (width, height) == header(view.thermal_path, as_picture=True)[1:3]:
+        raise PriorError(
+            f"{path} has the size of {view.thermal_path.name}, whose lens distortion is removed as it is read: "
+            "make maps of undistorted images, as tdgbench data export SCENE OUT --format 3dgs writes them"
+        )
+
+
 @contextmanager
 def _as_prior_error() -> Iterator[None]:
     """Turn what an unusable file raises into PriorError."""
@@ -81,8 +114,8 @@ def _as_prior_error() -> Iterator[None]:
         raise PriorError(str(error)) from error
 
 
-def _read_png(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """Read a depth map (H, W) float32 in [0, 1], NaN where unknown. Raises SceneError or PriorError."""
+def _read_png(path: Path) -> np.ndarray:
+    """Read a depth map (H, W) float32 in [0, 1], 0 where unknown. Raises SceneError or PriorError."""
     decoded = decode(path, as_picture=True)
     values, depth = decoded.values, decoded.header.depth
     if values.shape[2] != 1 or depth not in LARGEST_COUNT or decoded.valid is not None:
@@ -91,9 +124,4 @@ def _read_png(path: Path, size: tuple[int, int]) -> np.ndarray:
             f"{'transparent' if decoded.valid is not None else 'no transparent'} pixels; a depth map has one channel "
             "of 8 or 16 bits"
         )
-    counts = values[..., 0].astype(np.float32) / np.float32(LARGEST_COUNT[depth])
-    if counts.shape != size:
-        given = torch.from_numpy(counts)[None, None]
-        resized = torch.nn.functional.interpolate(given, size=size, mode="bilinear", align_corners=False)
-        counts = resized[0, 0].numpy()
-    return np.where(counts > 0, counts, np.float32(np.nan))
+    return values[..., 0].astype(np.float32) / np.float32(LARGEST_COUNT[depth])

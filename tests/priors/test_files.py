@@ -63,6 +63,36 @@ def test_a_map_that_changed_is_read_again(small_scene, tmp_path):
     assert estimate_all(prior, small_scene, tmp_path / "cache")[0][name].values[0, 0] == 2.0
 
 
+def test_all_maps_that_cannot_be_used_are_named_at_once(small_scene, tmp_path):
+    """Missing, of another aspect ratio, without a value; a map of half the size is of this image."""
+    first, second, third, *others = small_scene.train
+    for view in others:
+        np.save(tmp_path / f"{view.name}.npy", np.ones((18, 24)))
+    np.save(tmp_path / f"{second.name}.npy", np.ones((48, 36)))
+    Image.new("L", (48, 36)).save(tmp_path / f"{third.name}.png")
+    prior = FilePrior(str(tmp_path), "depth")
+    for act in (prior.identity, lambda scene: estimate_all(prior, scene, None)):
+        with pytest.raises(PriorError) as error:
+            act(small_scene)
+        lines = str(error.value).splitlines()  # a table shows the first one
+        assert lines[0].startswith(
+            f"3 of {len(small_scene.train)} training views have no map to use: view {first.name} "
+        )
+        assert f"is 36×48 px and the image of view {second.name} 48×36 px: their aspect ratios differ" in lines[1]
+        assert f"view {third.name}" in lines[2] and "no finite value" in lines[2]
+
+
+def test_a_map_of_the_distorted_image_is_refused(small_scene, tmp_path):
+    """The lens' distortion is removed from the view, so the map of its file does not fit, whatever data.width is."""
+    view = small_scene.train[0]
+    np.save(tmp_path / f"{view.name}.npy", np.ones((36, 48)))
+    camera = view.camera.resized(47, 35)
+    scene = replace(small_scene, assumed={"lens": "OPENCV: distortion removed, bilinear"})
+    with pytest.raises(PriorError, match=r"has the size of view001\.png, whose lens distortion is removed"):
+        FilePrior(str(tmp_path), "depth").estimate(scene, replace(view, camera=camera))
+    assert FilePrior(str(tmp_path), "depth").estimate(scene, view).values.shape == (36, 48)
+
+
 def test_files_that_cannot_be_used_are_named(small_scene, tmp_path):
     view = small_scene.train[0]
     prior, path = FilePrior(str(tmp_path), "depth"), tmp_path / f"{view.name}.npy"
