@@ -20,6 +20,7 @@ from tdgbench.cells.record import Record
 from tdgbench.experiments.error_time import SampledRun, best_after, configured_for, runs_of, sample_all
 from tdgbench.experiments.experiment import prepare_prior
 from tdgbench.experiments.matrix import (
+    QUALITY,
     Axes,
     AxisValue,
     Matrix,
@@ -36,10 +37,9 @@ from tdgbench.tables.palette import COLUMN
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 
-QUALITY = ("psnr", "ssim", "lpips")
 EVERY_SCENE = "all scenes"
 UNEQUAL = "n/a: unequal numbers"
-SHOWN = {
+_SHOWN = {
     "scene": ("scene", "{}"), "gaussians": ("asked for", "{:,.0f}"), "run": ("run", "{}"), "had": ("Gaussians", "{}"),
     "seeds": ("seeds", "{}"), "psnr": ("PSNR, dB", "{:.2f}"), "psnr_half": ("±", "{:.2f}"),
     "psnr_gain": ("{} better by, dB", "{:+.2f}"), "psnr_gain_half": (" ±", "{:.2f}"), "verdict": ("so {}", "{}"),
@@ -84,7 +84,7 @@ class Capacity(Matrix):
         return {"scene": scenes, "seed": seeds, "run": runs, "gaussians": numbers}
 
     def tables(self, cfg: DictConfig, cells: Sequence[MatrixCell]) -> dict[str, pd.DataFrame]:
-        rows = table_of(cells, numbers)
+        rows = table_of(cells, numbers_at_size)
         if rows.empty:
             return {}
         first = runs_of(cfg)[0].label
@@ -92,7 +92,7 @@ class Capacity(Matrix):
 
     def show(self, table: pd.DataFrame) -> None:
         first = table["run"].iloc[0]
-        shown = {name: (title.format(first), form) for name, (title, form) in SHOWN.items()}
+        shown = {name: (title.format(first), form) for name, (title, form) in _SHOWN.items()}
         show_table(
             format_columns(table, shown),
             "at equal numbers of Gaussians; 95 % intervals over seeds, of all scenes over scenes",
@@ -130,7 +130,7 @@ class Capacity(Matrix):
         return failed
 
 
-def numbers(record: Record) -> dict[str, Any]:
+def numbers_at_size(record: Record) -> dict[str, Any]:
     """Return the numbers of a cell: the set that renders thermal images, all sets, training, scores."""
     return {
         "had": record.gaussians.get("thermal"),

@@ -17,7 +17,7 @@ def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
 
     words: the command line, which the message of an unexpected error repeats.
     """
-    for kind, message_of in MESSAGES:
+    for kind, message_of in _MESSAGES:
         if isinstance(error, kind) and (message := message_of(error, words)):
             return message
     if isinstance(error.__cause__, OSError):  # e.g. of logging, whose file cannot be opened
@@ -52,7 +52,7 @@ def _of_configuration(error: HydraException | OmegaConfBaseException, words: Seq
     return text if isinstance(error, HydraException) or error.full_key else f"{text}{_in(words)}"
 
 
-MESSAGES: tuple[tuple[Any, Callable[..., str]], ...] = (  # the first one that says something counts
+_MESSAGES: tuple[tuple[Any, Callable[..., str]], ...] = (  # the first one that says something counts
     (OverrideParseException, lambda error, words: f"{error.override!r} cannot be read as KEY=VALUE: {error}"),
     (MissingConfigException, _of_choice),
     (ConfigCompositionException, _of_option),

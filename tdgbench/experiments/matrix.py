@@ -41,6 +41,7 @@ class AxisValue(NamedTuple):
 
 
 Axes = Mapping[str, Sequence[AxisValue]]
+QUALITY = ("psnr", "ssim", "lpips")  # scores that experiments compare
 
 
 class MatrixCell(NamedTuple):

@@ -27,8 +27,8 @@ from tdgbench.scenes import PointCloud, Scene, View
 
 DELTA = 1.25
 GRID_WIDTH = 160  # columns of the grid on which points hide others, as in conf/prior/sfm_points.yaml
-OCCLUSION = 0.1  # as there
-MIN_POINTS = 20  # of a view that is judged
+_OCCLUSION = 0.1  # as there
+_MIN_POINTS = 20  # of a view that is judged
 
 
 class Accuracy(NamedTuple):
@@ -81,7 +81,7 @@ def _of_view(prior: DepthPrior, known: KnownDepth) -> Accuracy | None:
     """Return the error of a map where depth is known and the prior is finite; None where that is too little."""
     values = prior.values[known.rows, known.columns]
     finite = np.isfinite(values)
-    return accuracy(values[finite], prior.kind, known.z[finite]) if finite.sum() >= MIN_POINTS else None
+    return accuracy(values[finite], prior.kind, known.z[finite]) if finite.sum() >= _MIN_POINTS else None
 
 
 def source(scene: Scene) -> str:
@@ -116,7 +116,7 @@ def _of_points(view: View, points: np.ndarray) -> KnownDepth:
     camera = view.camera
     width = min(GRID_WIDTH, camera.width)
     grid = camera.resized(width, max(1, round(camera.height * width / camera.width)))
-    seen = visible_points(grid, points, OCCLUSION)
+    seen = visible_points(grid, points, _OCCLUSION)
     columns, rows = camera.project(points[seen.number])[0].astype(int).T
     inside = (columns < camera.width) & (rows < camera.height)
     return KnownDepth(rows[inside], columns[inside], seen.z[inside])

@@ -23,8 +23,8 @@ from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 
 NONE = "none"  # TDg without its depth loss
-SCORES = ("psnr", "ssim", "lpips", "depth_abs_rel")
-SHOWN = {  # on the terminal: title, format
+_SCORES = ("psnr", "ssim", "lpips", "depth_abs_rel")
+_SHOWN = {  # on the terminal: title, format
     "prior": ("prior", "{}"),
     "abs_rel": ("AbsRel", "{:.3f}"), "delta": ("δ<1.25", "{:.3f}"), "rank": ("rank", "{:.2f}"),
     "psnr": ("PSNR", "{:.2f}"), "psnr_gain": ("gain", "{:+.2f}"), "ssim": ("SSIM", "{:.3f}"),
@@ -136,7 +136,7 @@ class Priors(Matrix):
     def show(self, table: pd.DataFrame) -> None:
         for scene, rows in table.groupby("scene", sort=False):
             truth = next((text for text in rows["truth"] if text), "nothing")
-            show_table(format_columns(rows, SHOWN), f"{scene}: depth priors against {truth}, and TDg with each")
+            show_table(format_columns(rows, _SHOWN), f"{scene}: depth priors against {truth}, and TDg with each")
         for reason in reasons(table):
             say(reason, "n/a:", "yellow")
 
@@ -146,10 +146,10 @@ def _cells_of(cells: Sequence[MatrixCell], scene: str, prior: str) -> list[Matri
 
 
 def scores_of(cells: Sequence[MatrixCell]) -> pd.DataFrame:
-    """Return SCORES of the finished ones of these cells by seed, NaN for n/a."""
+    """Return _SCORES of the finished ones of these cells by seed, NaN for n/a."""
     records = [cell.record for cell in cells if cell.record is not None]
     seeds = [record.seed for record in records]
-    return pd.DataFrame([record.scores for record in records], seeds, list(SCORES), dtype=float)
+    return pd.DataFrame([record.scores for record in records], seeds, list(_SCORES), dtype=float)
 
 
 def reasons(table: pd.DataFrame) -> list[str]:

@@ -14,7 +14,16 @@ from tdgbench.bench.options import OptionError
 from tdgbench.bench.signature import Problem
 from tdgbench.cells.record import Record
 from tdgbench.experiments.experiment import prepare_prior
-from tdgbench.experiments.matrix import Axes, AxisValue, Matrix, MatrixCell, MatrixOptions, table_of, values_of
+from tdgbench.experiments.matrix import (
+    QUALITY,
+    Axes,
+    AxisValue,
+    Matrix,
+    MatrixCell,
+    MatrixOptions,
+    table_of,
+    values_of,
+)
 from tdgbench.tables.palette import COLUMN
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.training.budget import SKIP_RULES as RULES
@@ -25,8 +34,7 @@ NONE, ALL, ALONE, WITHOUT = "none", "all", "only {}", "without {}"  # variants
 TOGETHER = "all together"  # the row of the variant ALL
 MAX_LOSS = {"psnr": 0.05, "ssim": 0.001}  # on any scene, of a skip that is on by default
 BEFORE = ("load", "images", "thermal_camera", "prior", "init", "compile", "rig")  # training
-QUALITY = ("psnr", "ssim", "lpips")
-SHOWN = {  # on the terminal: title, format
+_SHOWN = {  # on the terminal: title, format
     "skip": ("skip", "{}"), "taken_on": ("taken on", "{}"), "faster_alone": ("faster alone", "{:.2f} ×"),
     "slower_without": ("slower without", "{:.2f} ×"), "psnr_worst": ("worst PSNR, dB", "{:+.3f}"),
     "psnr_error": ("±", "{:.3f}"), "ssim_worst": ("worst SSIM", "{:+.4f}"), "ssim_error": (" ±", "{:.4f}"),
@@ -70,7 +78,7 @@ class SkipAblation(Matrix):
         return {"skips": table, "skips_cells": rows}
 
     def show(self, table: pd.DataFrame) -> None:
-        show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), SHOWN))
+        show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), _SHOWN))
 
 
 def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[str, bool]]:

@@ -24,12 +24,12 @@ from tdgbench.tables.show import format_columns, show_table
 from tdgbench.thermal.camera import ViewResponses, normalized, normalized_truth
 from tdgbench.thermal.maps import TERMS, evaluate
 
-SCORES = (
+_SCORES = (
     "psnr", "ssim", "lpips", "psnr_affine", "psnr_right_half", "psnr_true", "mae_degC", "mae_degC_without_offset",
 )  # fmt: skip
-PLACE = ["scene", "capture", "method", "thermal_camera"]
+_PLACE = ["scene", "capture", "method", "thermal_camera"]
 JUDGED = "psnr_true"  # by which what is lost and recovered is measured
-ERRORS = [f"{name}_{kind}" for name in ("offset_degC", "gain", "vignette_degC") for kind in ("rms", "worst")]
+_ERRORS = [f"{name}_{kind}" for name in ("offset_degC", "gain", "vignette_degC") for kind in ("rms", "worst")]
 LOST = 0.5  # dB; of a smaller loss no share is given
 SHOWN = {  # on the terminal: title, format
     "capture": ("capture", "{}"), "method": ("method", "{}"), "thermal_camera": ("camera", "{}"),
@@ -126,7 +126,7 @@ def response_errors(cells: Sequence[MatrixCell]) -> dict[str, dict[str, float]]:
 
 
 def camera_errors(record: Record, truth: CameraTruth, train: Sequence[str]) -> dict[str, float]:
-    """Return the errors of a cell's estimated thermal camera, named as in ERRORS: root mean squares and largest ones.
+    """Return the errors of a cell's estimated thermal camera, named as in _ERRORS: root mean squares and largest ones.
 
     Empty for a scene without temperatures, or a true camera that stretches images. A cell without an estimate has the
     errors of an ideal camera, which are the drift itself. train: names of the training views.
@@ -147,7 +147,7 @@ def camera_errors(record: Record, truth: CameraTruth, train: Sequence[str]) -> d
         evaluate(vignette, width, height) - true.vignette,
     )
     values = [float(value) for part in parts for value in (np.sqrt(np.mean(part**2)), np.abs(part).max())]
-    return dict(zip(ERRORS, values, strict=True))
+    return dict(zip(_ERRORS, values, strict=True))
 
 
 def _has_errors(record: Record, loader: DictConfig) -> bool:
@@ -159,12 +159,12 @@ def _has_errors(record: Record, loader: DictConfig) -> bool:
 def numbers(record: Record, errors: Mapping[str, float]) -> dict[str, Any]:
     """Return the numbers of a cell: scores, seconds, `camera_errors`; NaN where there is none."""
     return {
-        **{name: metric_value(record, name)[0] for name in SCORES},
+        **{name: metric_value(record, name)[0] for name in _SCORES},
         "train_seconds": record.seconds.get("train", np.nan),
         "camera_seconds": record.seconds.get("thermal_camera", 0.0),
         "iterations": record.iterations,
         "gaussians": sum(record.gaussians.values()),
-        **{name: errors.get(name, np.nan) for name in ERRORS},
+        **{name: errors.get(name, np.nan) for name in _ERRORS},
         "notes": "; ".join(note for note in record.notes if note.startswith("thermal camera: ")),
     }
 
@@ -177,15 +177,15 @@ def summary(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> pd.Dat
     that have all it needs. psnr_true_sem: standard error of the mean; NaN for one seed.
     """
     cells = cells.assign(recovered=_recovered(cells, clean, ideal))
-    groups = cells.groupby(PLACE, sort=False)
-    means = groups[[name for name in cells.columns if name not in (*PLACE, "seed", "notes", COLUMN)]].mean()
+    groups = cells.groupby(_PLACE, sort=False)
+    means = groups[[name for name in cells.columns if name not in (*_PLACE, "seed", "notes", COLUMN)]].mean()
     means.insert(0, "seeds", groups["seed"].nunique())
     return means.assign(**{f"{JUDGED}_sem": groups[JUDGED].sem(), COLUMN: groups[COLUMN].first()}).reset_index()
 
 
 def _recovered(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> list[float]:
     """Return the share of the lost PSNR that each cell recovers; NaN where little was lost or a cell is missing."""
-    score = cells.set_index([*PLACE, "seed"])[JUDGED].to_dict()
+    score = cells.set_index([*_PLACE, "seed"])[JUDGED].to_dict()
     recovered = []
     for row in cells.itertuples():
         best = score.get((row.scene, clean, row.method, ideal, row.seed), np.nan)

@@ -32,13 +32,13 @@ from tdgbench.scoring.scored_view import Border, Convention, ConventionName, Ima
 from tdgbench.tables.measures import MEASURES
 from tdgbench.tables.results import Cell
 
-COLUMNS = [
+SENSITIVITY_COLUMNS = [
     "score", "convention", "cells", "mean_change", "largest_change", "pairs", "reversed", "other_best",
     "rank_correlation", "reason",
 ]  # fmt: skip
 RECORDED = "as recorded"  # the first choice of each score
 FEWEST_RANKED = 3  # cells that compete, of a rank correlation: that of two is always 1 or -1
-SIZES = {"half": 2, "a quarter": 4}  # native sizes: images are so much wider than what their sensor resolves
+NATIVE_SIZES = {"half": 2, "a quarter": 4}  # native sizes: images are so much wider than what their sensor resolves
 FILTERS = ("box", "nearest", "bilinear", "lanczos")  # of Pillow
 RANGES = {"all of the truth": (0.0, 100.0), "1 % to 99 %": (1.0, 99.0), "5 % to 95 %": (5.0, 95.0)}  # percentiles
 MOST_CLIPPED = 0.002  # share of the truth at an end of the stored range; where more is, values beyond are unknown
@@ -54,7 +54,7 @@ class Choice(NamedTuple):
     of_cell: Callable[[np.ndarray], float] = np.mean
 
 
-def choices(record: Record, weights: Weights, pairs: Sequence[ImagePair]) -> dict[str, dict[str, Choice]]:
+def ways_to_score(record: Record, weights: Weights, pairs: Sequence[ImagePair]) -> dict[str, dict[str, Choice]]:
     """Return the ways to compute each score, by score and name; the record's own comes first.
 
     pairs: of all test views, whose temperatures give the ranges.
@@ -92,8 +92,9 @@ def choices(record: Record, weights: Weights, pairs: Sequence[ImagePair]) -> dic
 
 
 def sensitivity(cells: Iterable[Cell], weights: Weights = _NO_WEIGHTS) -> pd.DataFrame:
-    """Return COLUMNS: a row per score and convention. Raises ValueError for cells that were scored in several ways.
+    """Return SENSITIVITY_COLUMNS: a row per score and convention.
 
+    Raises ValueError for cells that were scored in several ways.
     weights: files with backbones of LPIPS, for networks that torch's cache lacks.
     mean_change, largest_change: of a cell's score against the record's convention. pairs: of cells that differ in
     method, initial points or variant, on one scene with one seed. reversed: in which the other cell is better now.
@@ -120,14 +121,14 @@ def sensitivity(cells: Iterable[Cell], weights: Weights = _NO_WEIGHTS) -> pd.Dat
             changes = ((after - before).mean(), (after - before)[np.abs(after - before).argmax()])
         order = _order_changes([cells[i] for i in known], score, before, after)
         rows.append([score, name, len(known), *changes, *order, reason])
-    return pd.DataFrame(rows, columns=COLUMNS)
+    return pd.DataFrame(rows, columns=SENSITIVITY_COLUMNS)
 
 
 def _scores(cell: Cell, weights: Weights) -> tuple[dict[tuple[str, str], float], dict[tuple[str, str], str]]:
     """Return a cell's values by score and convention, NaN where there is none, and the reasons for these."""
     values, reasons = {}, {}
     pairs = list(stored_pairs(cell, _scorer(cell.record, weights).settings))
-    for score, by_name in choices(cell.record, weights, pairs).items():
+    for score, by_name in ways_to_score(cell.record, weights, pairs).items():
         for name, choice in by_name.items():
             values[score, name] = np.nan
             try:
@@ -183,7 +184,7 @@ def _at_native_sizes(score: Callable[[ImagePair], float]) -> dict[str, Choice]:
     def of_size(divisor: int, by: str) -> Choice:
         return Choice(lambda pair: score(resampled(pair, divisor, by)))
 
-    sampled = itertools.product(SIZES.items(), FILTERS)
+    sampled = itertools.product(NATIVE_SIZES.items(), FILTERS)
     return {f"of images {name} as wide, by {by}": of_size(divisor, by) for (name, divisor), by in sampled}
 
 

@@ -24,7 +24,7 @@ from tdgbench.training.rule import DecideGrowth, ModelInputs
 from tdgbench.training.skips import Skips
 from tdgbench.training.splat_model import ModelOptions, SplatModel
 
-P = TypeVar("P", bound=Part)
+_P = TypeVar("_P", bound=Part)
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Context:
         """Device on which the backend trains."""
         return training_device(self.backend)
 
-    def add_part(self, name: str, part: P) -> P:
+    def add_part(self, name: str, part: _P) -> _P:
         """Add a part, new or of an earlier stage, under a name, and return it. Raises ValueError for a name in use."""
         if name in self.parts:
             raise ValueError(f"two parts have the name {name!r}; give one of them another name")

@@ -15,7 +15,7 @@ from tdgbench.training.images import Modality
 from tdgbench.training.rule import BudgetLike, Rule
 
 MOST_VIEWS = 8  # whose noise is measured
-MOST_POINTS = 2000
+_MOST_POINTS = 2000
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def viewing_angle(points: np.ndarray, cameras: Sequence[Camera]) -> float:
     The root mean square over the cameras that have it in their frame, at least two; median over the points. Infinite if
     there are none.
     """
-    points = points[:: max(1, -(-len(points) // MOST_POINTS))]
+    points = points[:: max(1, -(-len(points) // _MOST_POINTS))]
     total, count = np.zeros_like(points, dtype=np.float64), np.zeros(len(points))
     for camera in cameras:
         seen = camera.shows(points)

@@ -38,9 +38,9 @@ from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.rule import DecideGrowth, ModelInputs, Rule
 from tdgbench.training.skips import Finished, Skip, summed
 
-SLACK = 1e-3  # relative, of distances, against rounding
+_SLACK = 1e-3  # relative, of distances, against rounding
 TINY = 1e-20  # px, below any weight
-FEWEST_VIEWS = 2  # in which a Gaussian must be visible; one view decides nothing
+_FEWEST_VIEWS = 2  # in which a Gaussian must be visible; one view decides nothing
 HALF = 0.6  # σ from a Gaussian's centre to those of its halves along its longest axis
 NARROWER = (1 - HALF**2) ** 0.5  # σ of a half on that axis: both together have the Gaussian's second moment
 FAINTER = 0.5 / NARROWER  # opacity of a half: both together have the Gaussian's mass
@@ -92,7 +92,7 @@ class GrowthTest:
             views += seen.visible
             weight += seen.weight
             difference += seen.difference
-        is_known = (views >= FEWEST_VIEWS) & (weight > 0)
+        is_known = (views >= _FEWEST_VIEWS) & (weight > 0)
         gain = torch.where(is_known, difference.square().mean(dim=1) / weight, 0.0)
         strength = gain.sqrt() / self.noise
         grow = strength > self.rule.z
@@ -112,7 +112,7 @@ class GrowthTest:
         for u, v, w in centers.tolist():
             torch.minimum(nearest, (x - u).square() + (y - v).square() + (z - w).square(), out=nearest)
         reach = self.rule.clearance * gaussians.scales.amax(dim=1)
-        close = (nearest.sqrt() <= (1 + SLACK) * reach).nonzero().squeeze(1)
+        close = (nearest.sqrt() <= (1 + _SLACK) * reach).nonzero().squeeze(1)
         offsets = torch.as_tensor(centers).to(gaussians.means) - gaussians.means[close, None]  # (n, V, 3)
         along = torch.einsum("nij,nvi->nvj", rotation_matrices(gaussians.quats[close]), offsets)
         found = torch.zeros_like(reach, dtype=torch.bool)

@@ -22,7 +22,7 @@ from tdgbench.training.rule import Watched
 from tdgbench.training.settling import AllSettled
 from tdgbench.training.splat_model import SplatModel
 
-MIN_MSE = 1e-10
+_MIN_MSE = 1e-10
 
 
 class LastIteration(NamedTuple):
@@ -156,7 +156,7 @@ class Trainer:
         image, valid = images.array(view), images.valid(view)
         error: np.ndarray = self.method.render(self.context.frame(view), images.name).image.cpu().numpy() - image
         error = error.reshape(-1, error.shape[2]) if valid is None else error[valid]
-        return -10 * math.log10(max(float(np.square(error).mean(dtype=np.float64)), MIN_MSE))
+        return -10 * math.log10(max(float(np.square(error).mean(dtype=np.float64)), _MIN_MSE))
 
 
 class Pending:

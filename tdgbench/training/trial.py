@@ -17,7 +17,7 @@ ITERATIONS = 1000  # of either training, at most
 SHARE = 1 / 8  # of the training views that is held out
 FEWEST = 3  # held-out views; with less than four times as many training views there is no trial
 GAIN = 0.5  # dB that the rig gains at least
-ERRORS = 2  # standard errors that the gain exceeds
+_ERRORS = 2  # standard errors that the gain exceeds
 
 
 @dataclass(frozen=True)
@@ -50,4 +50,4 @@ def try_rig(method: Method, whole: Context) -> RigTrial:
     gains = np.array(psnrs[0]) - np.array(psnrs[1])
     mean, error = float(gains.mean()), float(gains.std(ddof=1)) / len(gains) ** 0.5
     reason = f"{mean:+.2f} ± {error:.2f} dB at {len(gains)} held-out training views"
-    return RigTrial([round(float(gain), 3) for gain in gains], mean >= max(GAIN, ERRORS * error), reason)
+    return RigTrial([round(float(gain), 3) for gain in gains], mean >= max(GAIN, _ERRORS * error), reason)

@@ -14,7 +14,7 @@ from tdgbench.training.context import training_device
 from tdgbench.training.losses import inverse_expected_depth, min_max, thermal_loss
 from tdgbench.training.splat_model import SplatModel
 
-SIZE = 16  # px
+_SIZE = 16  # px
 
 
 def compile_kernels(
@@ -34,8 +34,8 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, depth: bool, m
     """Take two steps for each channel count, the second with two views and, if it is needed, with their depth."""
     pose = np.eye(4)
     pose[2, 3] = 2.0
-    K = np.array([[SIZE, 0, SIZE / 2], [0, SIZE, SIZE / 2], [0, 0, 1.0]])
-    camera = Camera(K, pose, SIZE, SIZE)
+    K = np.array([[_SIZE, 0, _SIZE / 2], [0, _SIZE, _SIZE / 2], [0, 0, 1.0]])
+    camera = Camera(K, pose, _SIZE, _SIZE)
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (8, 3))
     for count in sorted(channels):
         start = gaussians_from_points(points, np.full((8, 3), 0.5), count, budget.sh_degree)

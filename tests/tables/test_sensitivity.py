@@ -15,7 +15,7 @@ from skimage.transform import downscale_local_mean
 
 from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.tables.results import read_results
-from tdgbench.tables.sensitivity import FILTERS, SIZES, sensitivity
+from tdgbench.tables.sensitivity import FILTERS, NATIVE_SIZES, sensitivity
 from tdgbench.tables.tables_command import main
 from tests.helpers.records import write
 from tests.scoring.weights import random_state
@@ -105,9 +105,9 @@ def test_ranks_of_three_methods_are_correlated_and_those_of_two_are_not(tmp_path
     cell(tmp_path / "x", "3dgs", [2.0, 30.0])  # a good view and a bad one: 2nd by the mean of PSNR, 3rd by the errors
     found = table_of(tmp_path)["rank_correlation"]
     assert found["psnr", "of the mean squared error of all views"] == "0.5"
-    assert {found["psnr", f"of images {size} as wide, by {by}"] for size, by in itertools.product(SIZES, FILTERS)} == {
-        "1.0"
-    }
+    assert {
+        found["psnr", f"of images {size} as wide, by {by}"] for size, by in itertools.product(NATIVE_SIZES, FILTERS)
+    } == {"1.0"}
 
 
 def test_psnr_in_other_ranges_of_degrees(tmp_path):

@@ -71,7 +71,7 @@ def test_a_cell_stores_the_verdict_and_verifies(data_root, tmp_path, monkeypatch
     cfg = configured(data_root, "synthetic", "thermal_camera.rig=auto")
     cfg.results = str(tmp_path)
     monkeypatch.setattr(trial, "GAIN", -100.0 if pays else 100.0)
-    monkeypatch.setattr(trial, "ERRORS", -100.0)
+    monkeypatch.setattr(trial, "_ERRORS", -100.0)
     assert run_quietly(cfg).status == "ok"
     ((folder, record),) = read_each(Path(cfg.results) / cfg.name)
     assert record.thermal_camera["rig"]["pays"] is pays and ("rig" in record.parts) is pays

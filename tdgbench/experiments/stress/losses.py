@@ -16,9 +16,9 @@ from tdgbench.experiments.stress.case import Case, close, require_close
 from tdgbench.priors import DepthPrior
 from tdgbench.training.losses import inverse_expected_depth, l1, min_max, smoothness, ssim, thermal_loss
 
-FAMILY = "losses"
-SIZE = (24, 32)
-TOLERANCES = BackendErrors(1e-4, 1e-3)
+_FAMILY = "losses"
+_SIZE = (24, 32)
+_TOLERANCES = BackendErrors(1e-4, 1e-3)
 
 Loss = Callable[[Tensor], Tensor]
 
@@ -26,16 +26,16 @@ Loss = Callable[[Tensor], Tensor]
 def cases() -> list[Case]:
     """Return every case of this family. They run once: losses do not depend on the backend."""
     return [
-        Case(FAMILY, name, close(TOLERANCES), partial(_fused_against_torch, loss, at), False)
+        Case(_FAMILY, name, close(_TOLERANCES), partial(_fused_against_torch, loss, at), False)
         for name, loss, at in _losses()
     ]
 
 
 def _losses() -> list[tuple[str, Loss, Tensor]]:
     """Return name, loss, and the tensor at which its value and gradient are compared."""
-    black, white, noise = torch.zeros(*SIZE, 1), torch.ones(*SIZE, 1), _noise(0)
+    black, white, noise = torch.zeros(*_SIZE, 1), torch.ones(*_SIZE, 1), _noise(0)
     depth, pixel = _noise(1)[..., 0] * 5 + 1, torch.ones(1, 1, 1)
-    clear, other = torch.zeros(*SIZE), _noise(2)[..., 0] * 5 + 1
+    clear, other = torch.zeros(*_SIZE), _noise(2)[..., 0] * 5 + 1
     return [
         ("SSIM of two black images", lambda x: ssim(x, black.to(x)), black),
         ("SSIM of two white images", lambda x: ssim(x, white.to(x)), white),
@@ -61,7 +61,7 @@ def _losses() -> list[tuple[str, Loss, Tensor]]:
 
 
 def _noise(seed: int) -> Tensor:
-    return torch.rand(*SIZE, 1, generator=torch.Generator().manual_seed(seed))
+    return torch.rand(*_SIZE, 1, generator=torch.Generator().manual_seed(seed))
 
 
 def _masked(values: Tensor, known: int) -> Tensor:
@@ -91,5 +91,5 @@ def _fused_against_torch(loss: Loss, at: Tensor, _backend: str) -> str:
     usual = at.numel() ** -0.5 * at.abs().max().clamp_min(1.0).reciprocal()  # gradient of a mean over the pixels
     gradient_error = (gradients[1] - gradients[0]).norm() / gradients[0].norm().clamp_min(usual)
     error = (values[1] - values[0]).abs() / values[0].abs().clamp_min(1.0)
-    errors = require_close(BackendErrors(error.item(), gradient_error.item()), TOLERANCES)
+    errors = require_close(BackendErrors(error.item(), gradient_error.item()), _TOLERANCES)
     return f"loss {values[0].item():.4g}; {errors}"

@@ -20,7 +20,7 @@ from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Step
 from tdgbench.training.trainer import Trainer
 
-FAMILY = "training"
+_FAMILY = "training"
 CAP = 350  # Gaussians
 ONE_PLACE = Raises("SceneError", "stand in one place")
 NO_POINTS = Raises("SceneError", "no sparse points; use init=random")
@@ -45,12 +45,12 @@ def cases(cfg: DictConfig) -> list[Case]:
         return lambda backend: _check_finite(*train_small(cfg, backend, **given))
 
     return [
-        *(Case(FAMILY, name, expected, finite(change=change)) for name, expected, change in _scenes()),
-        *(Case(FAMILY, name, expected, finite(budget=budget)) for name, expected, budget in _budgets(cfg)),
-        Case(FAMILY, "a cap on Gaussians reached", "it is reached and kept", lambda b: _capped(cfg, b)),
+        *(Case(_FAMILY, name, expected, finite(change=change)) for name, expected, change in _scenes()),
+        *(Case(_FAMILY, name, expected, finite(budget=budget)) for name, expected, budget in _budgets(cfg)),
+        Case(_FAMILY, "a cap on Gaussians reached", "it is reached and kept", lambda b: _capped(cfg, b)),
         *(
             Case(
-                FAMILY, f"NaN in {name}, at step {FAULTY_STEP}",
+                _FAMILY, f"NaN in {name}, at step {FAULTY_STEP}",
                 Raises("NonFiniteError", f"^{tensor}.* at iteration {FAULTY_STEP}$"), finite(fault=fault),
             )
             for name, tensor, fault in FAULTS
