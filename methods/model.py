@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import torch
-from scipy.ndimage import gaussian_filter
 
+from methods.likeness import LEAST, WIDTH, details
 from tdgbench.scenes import Scene, SceneError
-from tdgbench.scenes.images import resize
 from tdgbench.scenes.inputs import hash_of, regular_file
 from tdgbench.splats import Gaussians
 from tdgbench.splats.ply import load_ply
@@ -26,9 +26,8 @@ THERMAL_DC, THERMAL_REST = (
     "t_dc",
     "t_rest",
 )  # chen-hangyu/Thermal-Gaussian-main, OMMG, scene/gaussian_model.py, line 208
-VIEWS, WIDTH = 12, 160  # training views that are compared, and their width, px
-FINE, COARSE = 1.5, 8.0  # px, σ of the Gaussians between which lies the detail that is compared
-LEAST, TIE = 0.1, 0.02  # correlation of a render with its own image; lead of another image that is no lead
+VIEWS = 12  # training views that are compared
+TIE = 0.02  # lead of another image that is no lead
 # Of the views. It is 1 for 10 models at 24 to 39 dB; of 198 that were moved, 23 have more, which were turned by 10° or
 # scaled or moved by less than a third.
 LEAST_SHARE = 0.8
@@ -66,7 +65,6 @@ class Model(Method):
                 )
             self.models[modality] = context.gaussians(modality, start=gaussians)
             self.models[modality].degree = gaussians.sh_degree
-            self._compare(context.scene, modality)
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
@@ -82,30 +80,26 @@ class Model(Method):
         self.notes.append(f"the {modality} model is moved with the scene, whose origin is now {scene.origin}")
         return replace(gaussians, means=(means - origin).float())
 
-    def _compare(self, scene: Scene, modality: str) -> None:
-        """Note that the model is of another world, if its renders are more like other views than like their own."""
+    def doubts(self, scene: Scene) -> list[str]:
+        """Doubt a model whose renders are more like other views than like their own: it may be of another world."""
+        return [doubt for modality in self.models for doubt in self._doubts_of(modality, scene)]
+
+    def _doubts_of(self, modality: str, scene: Scene) -> Iterator[str]:
         images = MODALITIES[modality]
         views = [view for view in scene.train if modality == "thermal" or view.load_rgb is not None]
-        views = (
-            [views[i] for i in np.unique(np.linspace(0, len(views) - 1, VIEWS).round().astype(int))] if views else []
-        )
         if len(views) < 3:
             return
+        views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, VIEWS).round().astype(int))]
+        masks = [images.valid(view) for view in views]
         height = max(1, round(WIDTH * views[0].camera.height / views[0].camera.width))
-        rendered, shown = [], []
-        for view in views:
-            frame = Frame(view.camera.resized(WIDTH, height))
-            valid = images.valid(view)
-            hidden = None if valid is None else resize(valid[..., None].astype(np.float32), WIDTH, height)[..., 0] < 1
-            rendered.append(_detail(self.render(frame, modality).image.cpu().numpy(), hidden))
-            shown.append(_detail(resize(images.array(view), WIDTH, height), hidden))
-        share = own_share(np.stack(rendered), np.stack(shown))
+        frames = (Frame(view.camera.resized(WIDTH, height)) for view in views)
+        rendered = details((self.render(frame, modality).image.cpu().numpy() for frame in frames), masks)
+        share = own_share(rendered, details((images.array(view) for view in views), masks))
         if share < LEAST_SHARE:
-            name = self.paths.get(modality, self.paths["thermal"]).name
-            self.notes.append(
-                f"{name} does not lie where the cameras look: of {len(views)} {modality} renders of training views, "
-                f"{share * len(views):.0f} look more like their own image than like that of another view; is the model "
-                "in the scene's world, and is it of this scene?"
+            yield (
+                f"{self.paths.get(modality, self.paths['thermal']).name} does not lie where the cameras look: of "
+                f"{len(views)} {modality} renders of training views, {share * len(views):.0f} look more like their own "
+                "image than like that of another view; is the model in the scene's world, and is it of this scene?"
             )
 
     def _gaussians(self) -> dict[str, Gaussians]:
@@ -147,16 +141,6 @@ def own_share(rendered: np.ndarray, shown: np.ndarray) -> float:
     alike = rendered @ shown.T
     own = alike.diagonal()
     return float(np.mean((own > LEAST) & (own >= alike.max(axis=1) - TIE)))
-
-
-def _detail(image: np.ndarray, hidden: np.ndarray | None) -> np.ndarray:
-    """Return the detail of an image (H, W, C) without hidden pixels (H, W), as a row (H · W,) of norm 1."""
-    gray = image.mean(axis=2, dtype=np.float64)
-    if hidden is not None:
-        gray[hidden] = gray[~hidden].mean() if not hidden.all() else 0
-    row = (gaussian_filter(gray, FINE) - gaussian_filter(gray, COARSE)).ravel()
-    row -= row.mean()
-    return row / max(float(np.linalg.norm(row)), 1e-9)
 
 
 def _read(path: Path) -> Gaussians:

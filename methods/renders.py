@@ -6,6 +6,7 @@ A folder has one file per test view, and nothing else but what its layout knows.
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections import defaultdict
 from collections.abc import Callable
@@ -16,7 +17,8 @@ import numpy as np
 import torch
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, ValidationError
 
-from tdgbench.scenes import Scene, SceneError
+from methods.likeness import LEAST, details, fits_better
+from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.scenes.formats import decode
 from tdgbench.scenes.images import is_gray
 from tdgbench.scenes.inputs import hash_of, listed, read_array, read_bytes
@@ -29,6 +31,7 @@ from tdgbench.training.part import Part, State
 
 RUN = "run.json"
 PLAUSIBLE = (-0.5, 1.5)  # the median of a render, as an image value
+UNLIKE_SHARE = 0.2  # of renders like no image of the scene, above which they are doubted
 FORMATS = {".png": "PNG", ".jpg": "JPEG"}  # of pictures, by suffix
 Text = Annotated[str, Field(min_length=1)]
 
@@ -48,6 +51,13 @@ class Run(BaseModel):
     wall_time: NonNegativeFloat | None  # s, of the training
     device: Text
     views: list[Text] | None = None  # test views in the order of the files, of layouts that number them
+
+
+EXAMPLE = {  # of `run.json`, without split and views
+    "system": "NAME OF THE METHOD", "repository": "https://ADDRESS OF ITS CODE", "commit": None,
+    "command": "python train.py OPTIONS", "value_range": "unit", "checkpoint_rule": "last", "wall_time": None,
+    "device": "NAME OF THE GPU",
+}  # fmt: skip
 
 
 class FileNames(NamedTuple):
@@ -126,19 +136,45 @@ class Renders(Method):
         image = self.images.for_view(self._names.get(frame.index, ""))
         return Render(image, None, torch.zeros(image.shape[:2]))
 
+    def doubts(self, scene: Scene) -> list[str]:
+        """Doubt renders that show another view than the one they are named after, or nothing of the scene."""
+        views = [*scene.test, *scene.train]
+        masks, shown = [view.valid for view in views], details((v.thermal for v in views), [v.valid for v in views])
+        files = (self.images.for_view(view.name).numpy() for view in scene.test)
+        alike = details(files, masks[: len(scene.test)]) @ shown.T
+        own, best = alike.diagonal(), alike.argmax(axis=1)
+        others = fits_better(alike.max(axis=1), own)
+        if np.median(own) < -LEAST:
+            return [f"{self.name}: the renders are dark where the images are bright; is their palette inverted?"]
+        doubts, count, unlike = list[str](), len(own), (own < LEAST) & ~others
+        if others.any():
+            pairs = [f"{views[i].name} shows {views[best[i]].name}" for i in np.flatnonzero(others)]
+            doubts.append(
+                f"{self.name}: {others.sum()} of {count} renders look more like another view than like their own "
+                f"({_some(pairs)}); are their names, or `views` in {RUN}, in the right order, and are "
+                "they of this scene?"
+            )
+        if unlike.sum() > UNLIKE_SHARE * count:
+            doubts.append(
+                f"{self.name}: {unlike.sum()} of {count} renders are like no image of {scene.name} (correlation of "
+                f"detail below {LEAST}); are they of this scene?"
+            )
+        return doubts
+
     def _read(self, scene: Scene) -> dict[str, torch.Tensor]:
         run = read_run(self.folder / RUN, scene)
         files = self._files(scene, run)
-        sizes = {view.name: (view.camera.height, view.camera.width) for view in scene.test}
-        return {name: torch.from_numpy(read_render(path, run, scene, sizes[name])) for name, path in files.items()}
+        views = {view.name: view for view in scene.test}
+        return {name: torch.from_numpy(read_render(path, run, scene, views[name])) for name, path in files.items()}
 
     def _files(self, scene: Scene, run: Run) -> dict[str, Path]:
         """Return the file of each test view. Raises SceneError for files and views without each other."""
         views = [view.name for view in scene.test]
         if "<number>" in self.layout.renders and sorted(run.views or ()) != sorted(views):
+            faults = f"wrong: {_some(set(views) ^ set(run.views or ())) or 'a name is there twice'}"
             raise SceneError(
                 f"{self.folder / RUN}: views must name the {len(views)} test views of {scene.name} in the order of the "
-                f"files, which have numbers: {_some(set(views) ^ set(run.views or ())) or 'a name is there twice'}"
+                f"files, which have numbers; {faults if run.views else f'by name they are {json.dumps(sorted(views))}'}"
             )
         by_view, unknown, runs = defaultdict[str, list[Path]](list), list[str](), set[str]()
         for path in listed(self.folder):
@@ -159,8 +195,22 @@ class Renders(Method):
         if missing or unknown:
             problems = [f"test views without a file: {_some(missing)}"] * bool(missing)
             problems += [f"files of no test view of {scene.name}: {_some(unknown)}"] * bool(unknown)
-            raise SceneError(f"{self.folder}: {'; '.join(problems)}; there must be one file per test view")
+            remedy = self._remedy(unknown) or "there must be one file per test view"
+            raise SceneError(f"{self.folder}: {'; '.join(problems)}; {remedy}")
         return {view: path for view, (path,) in by_view.items()}  # in the order of the files, as they are hashed
+
+    def _remedy(self, unknown: list[str]) -> str:
+        """Return what to do with files that have other names than the layout's; empty if that is not known."""
+        others = [key for key, names in LAYOUTS.items() if key != "views" and names is not self.layout]
+        numbered = [key for key in others if any(re.fullmatch(LAYOUTS[key].renders, name) for name in unknown)]
+        if numbered:
+            return (
+                f"method.layout={numbered[0]} reads files with such numbers, and `views` in {RUN} names their views in "
+                "the files' order; or name each file after its view"
+            )
+        if any(name.lower().endswith((".jpg", ".jpeg")) for name in unknown):
+            return "JPEG changes pixels, and so scores; save renders as VIEW.png or, without rounding, as VIEW.npy"
+        return ""
 
     def _view_of(self, match: re.Match[str], run: Run) -> str:
         """Return the view that a file's name states, by its name or its number; empty for a number of no view."""
@@ -170,7 +220,16 @@ class Renders(Method):
 
 
 def read_run(path: Path, scene: Scene) -> Run:
-    """Read `run.json`. Raises SceneError, which names all that is wrong, also with another split than the scene's."""
+    """Read `run.json`. Raises SceneError, which names all that is wrong, also with another split than the scene's.
+
+    Of a file that is not there it shows an example with the split and the test views of the scene.
+    """
+    if not path.exists():
+        views = [view.name for view in scene.test]
+        example = json.dumps({**EXAMPLE, "split": scene.split, "views": views}, ensure_ascii=False)
+        raise SceneError(
+            f"{path}, which says what made the renders, is missing; an example for {scene.name}:\n{example}"
+        )
     try:
         run = Run.model_validate_json(read_bytes(path))
     except ValidationError as error:
@@ -188,13 +247,20 @@ def summary_of(run: Run) -> str:
     return f"made elsewhere by {one_line(run.system)}, which states {time} on {one_line(run.device)}{chosen}"
 
 
-def read_render(path: Path, run: Run, scene: Scene, size: tuple[int, int]) -> np.ndarray:
+def read_render(path: Path, run: Run, scene: Scene, view: View) -> np.ndarray:
     """Return a render (H, W, C): uint8 of a picture, float32 of an array. Raises SceneError for what does not fit."""
     values = _array(path, run, scene) if path.suffix == ".npy" else _picture(path, run)
+    size = view.camera.height, view.camera.width
     if values.shape[:2] != size:
         found, expected = (f"{width}×{height} px" for height, width in (values.shape[:2], size))
         raise SceneError(f"{path} has {found}, its view {expected}; render it at that size, or set data.width")
-    if scene.channels == 1 and is_gray(values):
+    gray = is_gray(values)
+    if gray and np.ptp(values) > 0 and not is_gray(view.thermal):
+        raise SceneError(
+            f"{path} is gray, the thermal image of view {view.name} of {scene.name} is coloured; render all three of "
+            "its channels, or compare in gray with data.channels=1"
+        )
+    if scene.channels == 1 and gray:
         values = values[..., :1]
     elif scene.channels == 3 and values.shape[2] == 1:
         values = values.repeat(3, axis=2)

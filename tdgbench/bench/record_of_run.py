@@ -72,10 +72,14 @@ def state_assumptions(record: Record, scene: Scene) -> None:
     lines = {shortened(name, MOST_SHOWN): _line(text, scene.folder) for name, text in scene.assumed.items()}
     if len(lines) > MOST_ASSUMED:
         raise ValueError(f"{scene.name}: a scene assumes {MOST_ASSUMED} things at most, not {len(lines)}")
-    doubts = [_line(doubt, scene.folder) for doubt in scene.doubts]
-    more = len(doubts) - MOST_DOUBTS
     record.assumed = lines
-    record.doubts = doubts if more <= 0 else [*doubts[: MOST_DOUBTS - 1], f"{more + 1} more: see tdgbench data check"]
+    state_doubts(record, scene.doubts, scene.folder)
+
+
+def state_doubts(record: Record, doubts: Sequence[str], folder: Path | None) -> None:
+    """Put doubts into the record, each in a line without the scene's folder; what does not fit is counted."""
+    lines, more = [_line(doubt, folder) for doubt in doubts], len(doubts) - MOST_DOUBTS
+    record.doubts = lines if more <= 0 else [*lines[: MOST_DOUBTS - 1], f"{more + 1} more: see tdgbench data check"]
 
 
 def state_values(record: Record, scene: Scene) -> None:

@@ -91,7 +91,7 @@ def test_two_files_are_a_thermal_and_an_rgb_model(run):
 
 
 def test_the_cell_says_that_nothing_was_trained_and_its_key_has_the_file(run, gray, tmp_path):
-    """And a model that lies elsewhere is noted in the record; the viewer shows it."""
+    """And a model that lies elsewhere is doubted in the record; the viewer shows it."""
     save_ply(gray, tmp_path / "a.ply")
     _, record = run("model", ply=tmp_path / "a.ply")
     assert record.iterations == 0 and "train" not in record.seconds and record.gaussians == {"thermal": 40}
@@ -100,7 +100,7 @@ def test_the_cell_says_that_nothing_was_trained_and_its_key_has_the_file(run, gr
     assert run("model", ply=tmp_path / "a.ply", status="kept")[1].key == record.key
     save_ply(replace(gray, means=gray.means + 100), tmp_path / "a.ply")
     folder, moved = run("model", ply=tmp_path / "a.ply")
-    assert moved.key != record.key and any("does not lie where" in note for note in moved.notes)
+    assert moved.key != record.key and any("does not lie where" in doubt for doubt in moved.doubts)
     assert list(open_cell(folder).models) == ["thermal"]
 
 
@@ -160,14 +160,15 @@ def shown_by(scene, cloud: Gaussians):
 
 
 @pytest.mark.parametrize(("turned", "scale"), [(False, 1.0), (True, 0.2355), (True, 1.0), (False, 0.5)])
-def test_a_model_in_another_world_is_noted(small_gray_scene, gray, tmp_path, turned, scale):
+def test_a_model_in_another_world_is_doubted(small_gray_scene, gray, tmp_path, turned, scale):
     x, y, z = gray.means.T
     means = scale * (torch.stack([x, -z, y], dim=1) if turned else gray.means)
     moved = {"means": means, "log_scales": gray.log_scales + np.log(scale)}
     save_ply(Gaussians(**{**dict(gray.items()), **moved}), tmp_path / "a.ply")
-    notes = trainer_of(shown_by(small_gray_scene, gray), ply=tmp_path / "a.ply").method.notes
-    assert len(notes) == (turned or scale != 1)
-    assert all(note.startswith("a.ply does not lie where the cameras look: of 8 thermal renders") for note in notes)
+    scene = shown_by(small_gray_scene, gray)
+    doubts = trainer_of(scene, ply=tmp_path / "a.ply").method.doubts(scene)
+    assert len(doubts) == (turned or scale != 1)
+    assert all(doubt.startswith("a.ply does not lie where the cameras look: of 8 thermal renders") for doubt in doubts)
 
 
 @pytest.mark.parametrize("of_files", [True, False])

@@ -92,9 +92,7 @@ def test_cell_and_report_say_that_nothing_was_trained(run, tmp_path, small_gray_
     assert verify(tmp_path / "results/single").problems == []  # also of folders with the method's name
     with pytest.raises(ValueError, match="renders are images"):
         open_cell(folder)
-    section = scene_section(record.dataset, record.scene, [Cell(folder, record)])
-    (shown,) = section["methods"]
-    assert section["problems"] == [] and shown["render"] and shown["error"] and not shown["depth"]
+    assert scene_section(record.dataset, record.scene, [Cell(folder, record)])["problems"] == []
 
 
 def test_a_cell_is_verified_without_the_folder_and_a_changed_picture_is_found(run, tmp_path, small_gray_scene):
@@ -154,6 +152,37 @@ def test_gray_renders_fill_the_channels_of_the_scene(small_gray_scene, tmp_path)
     assert rendered(colored, folder)[view.name].shape[2] == 3
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+def test_gray_renders_of_colours_are_refused(small_scene, tmp_path, channels):
+    folder = write_run(tmp_path / "renders")
+    for view in small_scene.test:
+        np.save(folder / f"{view.name}.npy", view.thermal.mean(axis=2, keepdims=True).repeat(channels, axis=2))
+    assert f"{small_scene.test[0].name} of orbit is coloured; render all three" in error_of(small_scene, folder)
+
+
+DOUBTED = {
+    "": lambda images: [images[0] * 0.5 + 0.2, *images[1:]],
+    "2 of 2 renders look more like another view than like their own (view000 shows view005, view005 shows view000)":
+        lambda images: images[::-1],
+    "are dark where the images are bright; is their palette inverted?": lambda images: [1 - one for one in images],
+    "are like no image of turntable": lambda images: [
+        np.random.default_rng(0).random(one.shape, np.float32) for one in images
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("doubt", DOUBTED)
+def test_renders_of_other_views_are_doubted(small_gray_scene, tmp_path, doubt):
+    scene = small_gray_scene
+    folder = write_run(tmp_path / "renders")
+    for view, image in zip(scene.test, DOUBTED[doubt]([view.thermal for view in scene.test]), strict=True):
+        np.save(folder / f"{view.name}.npy", image)
+    cfg = config("method=renders", "scene=turntable", *QUICK)
+    cfg.method.folder, cfg.method.name = str(folder), "other"
+    doubts = set_up(cfg, scene, compiles=False).trainer.method.doubts(scene)
+    assert len(doubts) == bool(doubt) and all(doubt in one for one in doubts), doubts
+
+
 def test_degrees_become_image_values(small_gray_scene, tmp_path):
     span = small_gray_scene.temperature
     folder = write_run(tmp_path / "renders", value_range="degC")
@@ -191,7 +220,8 @@ def test_numbered_files_have_the_order_of_run_json(small_gray_scene, tmp_path, l
     write_run(folder, views=[order[0], *order])
     assert "a name is there twice" in error_of(scene, folder, layout)
     write_run(folder)
-    assert "views must name the" in error_of(scene, folder, layout)
+    assert f"views must name the {len(order)} test views" in (error := error_of(scene, folder, layout))
+    assert json.dumps(sorted(order)) in error
 
 
 def test_epochs_of_several_evaluations_are_refused(small_gray_scene, tmp_path):
@@ -220,6 +250,8 @@ FAULTS = {
     "test views without a file": lambda path, values: path.unlink(),
     "cannot be read as an .npy array": lambda path, values: path.write_bytes(b"\x80\x04cos\nsystem\n"),
     "are both of view": lambda path, values: path.with_suffix(".png").write_bytes(b""),
+    "JPEG changes pixels": lambda path, values: path.rename(path.with_suffix(".JPG")),
+    "method.layout=3dgs reads files with such numbers": lambda path, values: path.rename(path.with_name("00000.npy")),
     "files of no test view": lambda path, values: (path.parent / "notes.txt").write_text(""),
     "files of no test view of turntable: view007.npy": lambda path, values: np.save(path.parent / "view007", values),
     "is PNG of 16-bit": lambda path, values: (
@@ -267,7 +299,10 @@ def test_all_faults_of_run_json_are_named_at_once(small_gray_scene, tmp_path):
     (folder / "run.json").write_text("{")
     assert "JSON: Invalid JSON" in error_of(small_gray_scene, folder)
     (folder / "run.json").unlink()
-    assert "run.json cannot be used" in error_of(small_gray_scene, folder)
+    first, example = error_of(small_gray_scene, folder).splitlines()
+    assert "run.json, which says what made the renders, is missing" in first
+    (folder / "run.json").write_text(example)
+    assert rendered(small_gray_scene, folder)
 
 
 def test_a_camera_that_changes_training_is_refused(run, tmp_path, small_gray_scene):
