@@ -34,7 +34,7 @@ class WarpBackend(Backend):
 
     def render(self, gaussians: GaussianTensors, camera: Pinhole, options: RenderOptions) -> Render:
         from tdgbench.splats.warp.arrays import view_of
-        from tdgbench.splats.warp.passes import Rasterize, Request
+        from tdgbench.splats.warp.passes import Request, WarpRasterize
 
         means, quats, scales, opacities, colors, sh_degree = gaussians
         if not options.blending.min_alpha > 0:
@@ -44,7 +44,9 @@ class WarpBackend(Backend):
         probe = means.new_empty(len(means), 2).requires_grad_(torch.is_grad_enabled() and means.requires_grad)
         absgrad = torch.zeros_like(probe, requires_grad=False) if options.absgrad else None
         request = Request(view_of(camera, sh_degree, options.blending), options.depth, absgrad)
-        light, transmittance, radii, depths = Rasterize.apply(means, quats, scales, opacities, colors, probe, request)
+        light, transmittance, radii, depths = WarpRasterize.apply(
+            means, quats, scales, opacities, colors, probe, request
+        )
         image, depth = (light[..., :-1], light[..., -1]) if options.depth else (light, None)
         if options.background is not None:
             image = image + transmittance[..., None] * options.background.to(image)

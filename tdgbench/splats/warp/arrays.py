@@ -21,7 +21,7 @@ wp.init()
 
 
 @wp.struct
-class View:
+class WarpView:
     """Camera and constants of a view."""
 
     rotation: wp.mat33  # world to camera
@@ -43,7 +43,7 @@ class View:
 
 
 @wp.struct
-class Source:
+class WarpSource:
     """The Gaussians, as in `GaussianTensors`. Also their gradients."""
 
     means: wp.array(dtype=wp.vec3)
@@ -54,7 +54,7 @@ class Source:
 
 
 @wp.struct
-class Projected:
+class Splats2D:
     """The Gaussians on the image. A Gaussian without pairs is not drawn."""
 
     means2d: wp.array(dtype=wp.vec2)  # px
@@ -68,7 +68,7 @@ class Projected:
 
 
 @wp.struct
-class Pairs:
+class TilePairs:
     """(tile, Gaussian) pairs. Each has a slot in the order of the Gaussians; `slots` lists them by tile and depth."""
 
     starts: wp.array(dtype=int)  # (tiles + 1,): where the slots of a tile start
@@ -89,11 +89,11 @@ def filled(struct: type, tensors: list[Tensor]):
     return made
 
 
-def view_of(camera: Pinhole, degree: int | None, blending: Blending) -> View:
+def view_of(camera: Pinhole, degree: int | None, blending: Blending) -> WarpView:
     """Return the struct of a camera; of one on the host, without waiting for the device."""
     viewmat, K = (t.numpy(force=True).astype(np.float64) for t in (camera.viewmat, camera.K))
     rotation, translation = viewmat[:3, :3], viewmat[:3, 3]
-    view = View()
+    view = WarpView()
     view.rotation, view.translation = wp.mat33(*rotation.ravel()), wp.vec3(*translation)
     view.centre = wp.vec3(*(-rotation.T @ translation))
     view.focal, view.principal = wp.vec2(K[0, 0], K[1, 1]), wp.vec2(K[0, 2], K[1, 2])

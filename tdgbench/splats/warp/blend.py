@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from tdgbench.splats.warp.arrays import TILE, TILE_PIXELS, Pairs, Projected, View
+from tdgbench.splats.warp.arrays import TILE, TILE_PIXELS, Splats2D, TilePairs, WarpView
 
 GEOMETRY = wp.constant(6)  # columns of a gradient before those of the features: mean (2), shape (3), opacity
 
@@ -42,7 +42,7 @@ def forward_blend(features: int) -> wp.Kernel:
 
     @wp.kernel(enable_backward=False, module=f"{__name__}_forward_{features}")
     def forward(
-        v: View, projected: Projected, pairs: Pairs, opacities: wp.array(dtype=float),
+        v: WarpView, projected: Splats2D, pairs: TilePairs, opacities: wp.array(dtype=float),
         light: wp.array3d(dtype=float), transmittance: wp.array2d(dtype=float), last: wp.array2d(dtype=int),
     ):  # fmt: skip
         """Blend a pixel: light (H, W, F), transmittance and the last pair that it blended, or −1."""
@@ -84,7 +84,7 @@ def backward_blend(features: int, lanes: int, absolute: bool) -> BackwardBlend:
 
     @wp.kernel(enable_backward=False, module=module)
     def backward(
-        v: View, projected: Projected, pairs: Pairs, opacities: wp.array(dtype=float),
+        v: WarpView, projected: Splats2D, pairs: TilePairs, opacities: wp.array(dtype=float),
         transmittance: wp.array2d(dtype=float), last: wp.array2d(dtype=int), by_light: wp.array3d(dtype=float),
         by_transmittance: wp.array2d(dtype=float), rows: wp.array(dtype=row_type),
     ):  # fmt: skip

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from tdgbench.splats.warp.arrays import Projected, Source, View
+from tdgbench.splats.warp.arrays import Splats2D, WarpSource, WarpView
 from tdgbench.splats.warp.blend import GEOMETRY
 from tdgbench.splats.warp.projection import rotation_of, slope, to_world
 from tdgbench.splats.warp.sh_basis import basis, basis_gradient, vec16
@@ -23,7 +23,7 @@ def add_pairs(rows: wp.array2d(dtype=float), ends: wp.array(dtype=int), sums: wp
 
 
 @wp.func
-def by_center(v: View, p: wp.vec3, axis: int, by_axis: wp.vec3, by_mean: float):
+def by_center(v: WarpView, p: wp.vec3, axis: int, by_axis: wp.vec3, by_mean: float):
     """Return the gradient by p of what depends on an image coordinate (0: x, 1: y).
 
     by_axis: by `to_world`, in camera axes; by_mean: by the coordinate.
@@ -58,7 +58,9 @@ def by_quaternion(q: wp.vec4, m: wp.mat33):
 
 
 @wp.func
-def by_colors(g: int, source: Source, v: View, projected: Projected, sums: wp.array2d(dtype=float), out: Source):
+def by_colors(
+    g: int, source: WarpSource, v: WarpView, projected: Splats2D, sums: wp.array2d(dtype=float), out: WarpSource
+):
     """Write the gradient of the colours or harmonics; returns that by the mean, through the direction of view."""
     channels = source.colors.shape[2]
     toward = source.means[g] - v.centre
@@ -78,8 +80,10 @@ def by_colors(g: int, source: Source, v: View, projected: Projected, sums: wp.ar
 
 
 @wp.kernel
-def project_backward(source: Source, v: View, projected: Projected, sums: wp.array2d(dtype=float), out: Source):
-    """Write the gradients of each Gaussian with pairs, by those of `Projected` in `sums`. `out` is zero before."""
+def project_backward(
+    source: WarpSource, v: WarpView, projected: Splats2D, sums: wp.array2d(dtype=float), out: WarpSource
+):
+    """Write the gradients of each Gaussian with pairs, by those of `Splats2D` in `sums`. `out` is zero before."""
     g = wp.tid()
     if projected.shapes[g][0] == 0.0:
         return

@@ -7,7 +7,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from tdgbench.splats.warp.arrays import TILE_PIXELS, Pairs, Projected, Source, View, array, filled, on_stream
+from tdgbench.splats.warp.arrays import TILE_PIXELS, Splats2D, TilePairs, WarpSource, WarpView, array, filled, on_stream
 from tdgbench.splats.warp.blend import backward_blend, forward_blend
 from tdgbench.splats.warp.gradient import add_pairs, project_backward
 from tdgbench.splats.warp.projection import find_starts, list_pairs, project
@@ -18,12 +18,12 @@ LANES = tuple(str(2**power) for power in range(9))
 class Request(NamedTuple):
     """A render. absgrad: (N, 2), to which the backward pass adds absolute gradients, or None."""
 
-    view: View
+    view: WarpView
     depth: bool
     absgrad: Tensor | None
 
 
-class Rasterize(torch.autograd.Function):
+class WarpRasterize(torch.autograd.Function):
     """features (H, W, D, and 1 for depth), transmittance (H, W), radii (N,) px and depths (N,) of one camera.
 
     `probe` (N, 2) receives the image means; its gradient is d loss / d image mean, per px.
@@ -52,8 +52,8 @@ class Rasterize(torch.autograd.Function):
             by_image = [by_light.contiguous(), by_transmittance.contiguous()]
             sums = _sum_over_pixels(gaussians[3], projected, pairs, [*images, *by_image], ctx.request, ctx.lanes)
             gradients = [torch.zeros_like(t, memory_format=torch.contiguous_format) for t in gaussians]
-            inputs = [filled(Source, gaussians), view, filled(Projected, projected), array(sums)]
-            launch(project_backward, len(sums), [*inputs, filled(Source, gradients)], sums)
+            inputs = [filled(WarpSource, gaussians), view, filled(Splats2D, projected), array(sums)]
+            launch(project_backward, len(sums), [*inputs, filled(WarpSource, gradients)], sums)
         if absgrad is not None:
             absgrad += sums[:, -2:]
         return *gradients, sums[:, :2], None
@@ -84,27 +84,27 @@ def launch(kernel: wp.Kernel, dim, inputs: list, like: Tensor, **options) -> Non
 
 
 def _project(gaussians: list[Tensor], request: Request) -> list[Tensor]:
-    """Return the tensors of `Projected`."""
+    """Return the tensors of `Splats2D`."""
     means, colors = gaussians[0], gaussians[4]
     count, features = len(means), colors.shape[2] + request.depth
     floats = [means.new_zeros(count, *shape) for shape in ((2,), (3,), (features,), ())]
     ints = [torch.zeros(shape, dtype=torch.int32, device=means.device) for shape in (count, (count, 4), count, 1)]
     projected = [*floats, *ints]
-    launch(project, count, [filled(Source, gaussians), request.view, filled(Projected, projected)], means)
+    launch(project, count, [filled(WarpSource, gaussians), request.view, filled(Splats2D, projected)], means)
     ends = array(projected[6])
     wp.utils.array_scan(ends, ends, inclusive=True)
     return projected
 
 
-def _list_pairs(projected: list[Tensor], view: View) -> list[Tensor]:
-    """Return the tensors of `Pairs`."""
+def _list_pairs(projected: list[Tensor], view: WarpView) -> list[Tensor]:
+    """Return the tensors of `TilePairs`."""
     ends = projected[6]
     count = count_pairs(ends)
     keys = ends.new_empty(2 * count, dtype=torch.int64)  # the sort needs the second half
     pairs = [ends.new_empty(size) for size in (view.tiles_x * view.tiles_y + 1, 2 * count, count)]
     starts, slots, _ = pairs
     if count:
-        launch(list_pairs, len(ends), [filled(Projected, projected), view, array(keys), filled(Pairs, pairs)], ends)
+        launch(list_pairs, len(ends), [filled(Splats2D, projected), view, array(keys), filled(TilePairs, pairs)], ends)
         wp.utils.radix_sort_pairs(array(keys), array(slots), count, end_bit=32 + len(starts).bit_length())
     launch(find_starts, len(starts), [array(keys), count, array(starts)], ends)
     return pairs
@@ -116,7 +116,7 @@ def _blend(gaussians: list[Tensor], projected: list[Tensor], pairs: list[Tensor]
     size = (view.height, view.width)
     last = torch.empty(size, dtype=torch.int32, device=opacities.device)
     images = [opacities.new_empty(*size, features), opacities.new_empty(size), last]
-    inputs = [view, filled(Projected, projected), filled(Pairs, pairs), array(opacities), *map(array, images)]
+    inputs = [view, filled(Splats2D, projected), filled(TilePairs, pairs), array(opacities), *map(array, images)]
     pixels = view.tiles_x * view.tiles_y * TILE_PIXELS
     launch(forward_blend(features), pixels, inputs, opacities, block_dim=TILE_PIXELS)
     return images
@@ -132,7 +132,7 @@ def _sum_over_pixels(
     view, ends, features = request.view, projected[6], projected[2].shape[1]
     blend = backward_blend(features, lanes, request.absgrad is not None)
     rows = opacities.new_zeros(len(pairs[2]), blend.columns)
-    inputs = [view, filled(Projected, projected), filled(Pairs, pairs), array(opacities), *map(array, images)]
+    inputs = [view, filled(Splats2D, projected), filled(TilePairs, pairs), array(opacities), *map(array, images)]
     tiles, device = view.tiles_x * view.tiles_y, str(opacities.device)
     wp.launch_tiled(blend.kernel, dim=[tiles], inputs=[*inputs, array(rows, blend.row)], block_dim=lanes, device=device)
     sums = opacities.new_empty(len(ends), blend.columns)

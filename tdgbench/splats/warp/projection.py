@@ -5,7 +5,7 @@ Pairs are sorted by tile and depth: each tile has its Gaussians from near to far
 
 import warp as wp
 
-from tdgbench.splats.warp.arrays import TILE, Pairs, Projected, Source, View
+from tdgbench.splats.warp.arrays import TILE, Splats2D, TilePairs, WarpSource, WarpView
 from tdgbench.splats.warp.sh_basis import basis
 
 wp.set_module_options({"enable_backward": False})
@@ -30,7 +30,7 @@ def slope(ratio: float, size: int, focal: float, principal: float):
 
 
 @wp.func
-def to_world(v: View, p: wp.vec3, axis: int):
+def to_world(v: WarpView, p: wp.vec3, axis: int):
     """Return the gradient of an image coordinate (0: x, 1: y) by the position p, in world axes, px per unit."""
     size = wp.where(axis == 0, v.width, v.height)
     scale = v.focal[axis] / p[2]
@@ -40,7 +40,7 @@ def to_world(v: View, p: wp.vec3, axis: int):
 
 
 @wp.func
-def is_broken(g: int, source: Source, bases: int):
+def is_broken(g: int, source: WarpSource, bases: int):
     """Return whether a Gaussian has a NaN."""
     total = source.opacities[g]
     total += wp.dot(source.means[g], wp.vec3(1.0)) + wp.dot(source.scales[g], wp.vec3(1.0))
@@ -60,7 +60,7 @@ def covered(low: float, high: float, tiles: int):
 
 
 @wp.func
-def radius(center: wp.vec2, a: float, b: float, c: float, v: View):
+def radius(center: wp.vec2, a: float, b: float, c: float, v: WarpView):
     """Return 3DGS's radius in px, 3 σ rounded up, of a covariance (a, b, c); 0 if the square misses the tiles."""
     half = 0.5 * (a - c)
     r = wp.ceil(3.0 * wp.sqrt(0.5 * (a + c) + wp.sqrt(wp.max(half * half + b * b, 0.1))))
@@ -70,7 +70,7 @@ def radius(center: wp.vec2, a: float, b: float, c: float, v: View):
 
 
 @wp.func
-def write_features(g: int, source: Source, v: View, depth: float, features: wp.array2d(dtype=float)):
+def write_features(g: int, source: WarpSource, v: WarpView, depth: float, features: wp.array2d(dtype=float)):
     """Write the colours of a Gaussian, and its depth if `features` has a column for it."""
     channels = source.colors.shape[2]
     b = basis(wp.normalize(source.means[g] - v.centre))
@@ -87,7 +87,7 @@ def write_features(g: int, source: Source, v: View, depth: float, features: wp.a
 
 
 @wp.kernel
-def project(source: Source, v: View, out: Projected):
+def project(source: WarpSource, v: WarpView, out: Splats2D):
     """Project each Gaussian; `out.ends` gets its number of tiles. All of `out` is zero before."""
     g = wp.tid()
     if is_broken(g, source, v.bases):
@@ -120,7 +120,7 @@ def project(source: Source, v: View, out: Projected):
 
 
 @wp.kernel
-def list_pairs(projected: Projected, v: View, keys: wp.array(dtype=wp.int64), pairs: Pairs):
+def list_pairs(projected: Splats2D, v: WarpView, keys: wp.array(dtype=wp.int64), pairs: TilePairs):
     """Write the pairs of each Gaussian, with tile and depth as the sort key."""
     g = wp.tid()
     rect = projected.rects[g]
