@@ -11,7 +11,7 @@ setup(
         "tdgbench": ["py.typed"],
         "methods": ["py.typed"],
         "tdgbench.present": ["*.j2", "*.css", "*.js"],
-        "tdgbench.report": ["*.j2"],
+        "tdgbench.report": ["*.j2", "*.css", "*.js"],
         "tdgbench.compare": ["*.j2"],
         "tdgbench.site": ["*.j2"],
         "tdgbench.view": ["*.j2", "*.js"],

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
 from typing import Any
 
 MOST_NAMED = 5  # names in a message
+ABSOLUTE = re.compile(r"(?<![\w/.:%-])(?:/|~/|[A-Za-z]:[/\\]+)(?:[\w.+@-]+[/\\]+)+[\w.+@=,-]+")  # paths
 FORMULA = ("=", "+", "-", "@", "'", "\t", "\r", "\n")  # a spreadsheet would run what begins with one of them
 
 
@@ -27,6 +29,19 @@ def shortened(text: str, most: int = 300) -> str:
     """
     line = one_line(text)
     return line if len(line) <= most else line[: most - 1] + "…"
+
+
+def without_folders(text: str) -> str:
+    """Return the text with absolute paths cut to their last name, or to the cell: pages go to other people.
+
+    >>> without_folders("data.root=/home/ada/arco; ~/x/e/cells/tdg/log.csv: 3/4, https://a.org/b")
+    'data.root=.../arco; .../cells/tdg/log.csv: 3/4, https://a.org/b'
+    """
+    return ABSOLUTE.sub(lambda found: _place(found[0].replace("\\", "/").split("/")), text)
+
+
+def _place(parts: list[str]) -> str:
+    return "/".join(["...", *(parts[parts.index("cells") :] if "cells" in parts else parts[-1:])])
 
 
 def first_few(names: Iterable[str]) -> str:

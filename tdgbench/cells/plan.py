@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.global_hydra import GlobalHydra
@@ -23,11 +23,32 @@ from tdgbench.scenes import Description
 PLAN_FILE = "experiment.json"
 OF_A_CELL = ("method", "dataset", "scene", "init", "seed")
 IN_THE_PATH = (*OF_A_CELL, "name", "results")  # keys that are part of a cell's path or do not concern it
+LAST = 1000  # order of a method that names none
+
+
+class MethodEntry(NamedTuple):
+    """How tables print a method, as its file says: label, order of its column, baseline."""
+
+    label: Annotated[str, Field(min_length=1, max_length=100)]
+    order: int = LAST
+    compared_with: str | None = None
+
+
+@dataclass
+class Command:
+    """A command that was run into an experiment's folder: its words, without folders of the machine, and when (UTC)."""
+
+    words: str
+    date: str
 
 
 @dataclass
 class Plan:
-    """Kind of table; scenes, methods and inits of the sweep; other keys with several values; cells that have data."""
+    """Kind of table; scenes, methods and inits of the sweep; other keys with several values; cells that have data.
+
+    commands: that were run into the folder, the last one last; earlier versions do not state them. own_methods: entries
+    of methods whose files are in a folder of the user, by name.
+    """
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
@@ -37,6 +58,8 @@ class Plan:
     inits: list[str] = field(default_factory=list)
     variant_keys: list[str] = field(default_factory=list)
     cells_with_data: Annotated[int, Field(validation_alias=AliasChoices("cells_with_data", "cells_to_run"))] = 0
+    commands: list[Command] = field(default_factory=list)
+    own_methods: dict[str, MethodEntry] = field(default_factory=dict)
 
     def write(self, experiment: Path) -> None:
         experiment.mkdir(parents=True, exist_ok=True)
@@ -70,6 +93,21 @@ def read_plan(folder: Path) -> Plan:
         first = error.errors(include_url=False)[0] if isinstance(error, ValidationError) else None
         reason = error if first is None else ": ".join([*(str(part) for part in first["loc"]), first["msg"]])
         raise ValueError(f"{path} is not the plan of a sweep ({reason}); run the sweep again, or delete it") from error
+
+
+def method_entries(conf: Path, chosen: Sequence[str] = ("*",)) -> dict[str, MethodEntry]:
+    """Return the entries of the chosen methods, by default all, in a folder of configuration groups, by name.
+
+    A file's keys count as they stand there; a method does not inherit them from the files that it builds on.
+    """
+    entries = {}
+    for path in sorted(path for choice in chosen for path in (conf / "method").glob(f"{choice}.yaml")):
+        content: Any = OmegaConf.load(path)
+        name = str(content.get("name", path.stem))
+        entries[name] = MethodEntry(
+            str(content.get("label", name)), int(content.get("order", LAST)), content.get("compared_with")
+        )
+    return entries
 
 
 def plan_of_job(sweep_folder: Path) -> Plan:

@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tdgbench.cells.folder import CellFolder
+from tdgbench.present.colour_scale import ColourScale
 from tdgbench.present.figures import plain, save_figure
-from tdgbench.present.view_pictures import middle_view, view_pictures
+from tdgbench.present.view_pictures import middle_view, view_pictures, view_scale
 
 MOST_BESIDE = 4  # methods whose errors are beside their renders
 TITLE: dict[str, Any] = {"fontsize": 8, "y": 1.0}  # with a fixed height, matplotlib searches for none
@@ -37,32 +38,33 @@ def draw_strip(cells: Sequence[CellFolder], target: Path) -> bool:
     for axis in axes.flat:
         axis.set_axis_off()
     for place, row, errors in zip(scenes, axes[:: 1 + below], axes[below :: 1 + below], strict=True):
-        for m, method in enumerate(methods):
-            if (*place, method) in first:
-                axes_of_cell = row[0], row[1 + m], errors[1 + m + (0 if below else len(methods))]
-                _draw_cell(axes_of_cell, first[*place, method], place_name(place, scenes))
+        drawn = {m: first[*place, method] for m, method in enumerate(methods) if (*place, method) in first}
+        view = middle_view(drawn.values())
+        scale = view_scale(drawn.values(), view)
+        colours = f", {scale.span}" if scale.span else ""
+        row[0].set_title(f"{plain(place_name(place, scenes))}: ground truth{colours}", **TITLE)
+        for m, cell in drawn.items():
+            _draw_cell((row[0], row[1 + m], errors[1 + m + (0 if below else len(methods))]), cell, view, scale)
     target.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, target)
     return True
 
 
-def _draw_cell(axes: tuple[Axes, Axes, Axes], cell: CellFolder, name: str) -> None:
-    """Draw ground truth, render and error of a cell's middle test view; n/a where its pictures cannot be read."""
+def _draw_cell(axes: tuple[Axes, Axes, Axes], cell: CellFolder, view: str, scale: ColourScale) -> None:
+    """Draw ground truth, render and error of a cell's test view; n/a where its pictures cannot be read."""
     on_truth, on_render, on_error = axes
     method, psnr = plain(cell.record.method), cell.record.scores.get("psnr")
     title = f"{method} {'n/a' if psnr is None else f'{psnr:.1f} dB'}"
     on_render.set_title(title, **TITLE)
     try:
-        shown = view_pictures(cell, middle_view([cell]))
+        shown = view_pictures(cell, view, scale)
     except (OSError, ValueError):
         on_render.set_title(f"{title}: picture n/a", **TITLE)
         return
     on_truth.imshow(shown.truth)
-    colours = "" if shown.scale.ends is None else f", {' to '.join(shown.scale.ends)}"
-    on_truth.set_title(f"{plain(name)}: ground truth{colours}", **TITLE)
     on_render.imshow(shown.render)
     on_error.imshow(shown.error)
-    on_error.set_title(f"{method} error, 0 to {shown.scale.error_end}", **TITLE)
+    on_error.set_title(f"{method} error, 0 to {scale.error_end}", **TITLE)
 
 
 def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str]]) -> str:

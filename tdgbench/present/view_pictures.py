@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.cells.folder import RENDERS, CellFolder
+from tdgbench.cells.folder import RENDERS, CellFolder, CellPictures
 from tdgbench.present.colour_scale import ERROR_RANGE as ERROR_RANGE
 from tdgbench.present.colour_scale import ColourScale, colour_scale
 from tdgbench.present.colours import UNKNOWN, colored, expected_depth, in_colour
@@ -17,22 +18,35 @@ ERROR, DEPTH = "magma", "viridis"  # colour maps
 
 
 class ViewPictures(NamedTuple):
-    """Pictures of a test view, (H, W, 3) uint8, gray where masked, and what their colours span."""
+    """Pictures of a test view, (H, W, 3) uint8, gray where masked."""
 
     truth: np.ndarray
     render: np.ndarray
     error: np.ndarray
-    scale: ColourScale
 
 
-def view_pictures(cell: CellFolder, view: str) -> ViewPictures:
+def view_pictures(cell: CellFolder, view: str, scale: ColourScale) -> ViewPictures:
     """Return the stored pictures of a test view in colour. Raises ValueError or OSError where one is unusable."""
     stored = cell.pictures(view)
-    scale = colour_scale(stored.truth, stored.valid, cell.record.temperature_range)
     truth, render = (
         grayed(in_colour(one, scale.low, scale.high), stored.valid) for one in (stored.truth, stored.render)
     )
-    return ViewPictures(truth, render, colored(stored.error, ERROR, 0, scale.error), scale)
+    return ViewPictures(truth, render, colored(stored.error, ERROR, 0, scale.error))
+
+
+def view_scale(cells: Iterable[CellFolder], view: str) -> ColourScale:
+    """Return the scale of a test view for all of these cells: of the first ground truth that can be read."""
+    usable = []
+    for cell in cells:
+        with suppress(OSError, ValueError):
+            usable.append((cell.pictures(view), cell.record.temperature_range))
+    return scale_of(usable) if usable else ColourScale()
+
+
+def scale_of(pictures: Sequence[tuple[CellPictures, Sequence[float] | None]]) -> ColourScale:
+    """Return the scale of pictures of one test view, with the °C of values 0 and 1: of the first ground truth."""
+    (truth, _, valid), degrees = pictures[0]
+    return colour_scale(truth, valid, degrees, np.concatenate([one.error.ravel() for one, _ in pictures]))
 
 
 def middle_view(cells: Iterable[CellFolder]) -> str:

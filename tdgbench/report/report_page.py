@@ -9,20 +9,23 @@ from typing import Any
 
 import pandas as pd
 
-from tdgbench.cells.record import READ_PHASE, Record, SkipRecord
+from tdgbench.cells.record import READ_PHASE, Record
 from tdgbench.files import write_text
 from tdgbench.present.html import environment
 from tdgbench.present.strip import place_name
+from tdgbench.report.panels import line_colours
+from tdgbench.report.run_facts import cell_title, cells_in_words, named, run_facts
 from tdgbench.report.scene_section import scene_section
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
 from tdgbench.tables.grids import further_grid
 from tdgbench.tables.latex import LABELS
-from tdgbench.tables.measures import MEASURES, PUBLISHED, digits
+from tdgbench.tables.long_table import method_label
+from tdgbench.tables.measures import COLUMNS, EXTRA, MEASURES, PUBLISHED, digits
 from tdgbench.tables.palette import palette_notes
 from tdgbench.tables.readings import changes_as_text
-from tdgbench.tables.results import Cell
+from tdgbench.tables.results import Cell, Results
 from tdgbench.tables.verdicts import comparable, load_margins, verdicts_in_words
 
 FILE = "report.html"
@@ -34,24 +37,29 @@ SOURCES = {  # of depth priors, in words
 
 def write_report(tables: Tables) -> Path:
     """Write the page of an experiment from its files on disk; return its path. What is unusable there is n/a."""
-    results, records = tables.results, tables.records
+    results, records, main = tables.results, tables.records, tables.main
+    cells = in_order(results)
+    colours = line_colours(method_label(cell.record, with_init=True) for cell in cells)  # the same in all scenes
     scenes: dict[tuple[str, str, str], list[Cell]] = {}
-    for cell in results.finished:
+    for cell in cells:
         scenes.setdefault((cell.record.dataset, cell.record.scene, cell.record.split), []).append(cell)
     html = environment("tdgbench.report").get_template("report_page.html.j2").render(
         name=results.folder.resolve().name,
         findings=tables.findings,
+        facts=run_facts(results),
         doubts=doubts_of(records),
         table=tables.grid,
-        further=None if tables.is_ablation else further_grid(tables.main),
+        reasons=[] if tables.is_ablation else reasons_for_na(main, COLUMNS),
+        further=None if tables.is_ablation else further_grid(main),
+        further_reasons=[] if tables.is_ablation else reasons_for_na(main, EXTRA),
         priors=depth_priors(records),
         legend=legend(tables),
         published=published_section(tables),
         changes=None if tables.effects is None else changes_as_text(tables.effects),
         changes_notes=[] if tables.effects is None else palette_notes(tables.effects),
-        scenes=[scene_section(place[0], place_name(place, scenes), group) for place, group in scenes.items()],
-        skips=[{"title": cell.record.title, "skips": map(_skipped, cell.record.skips)} for cell in results.finished],
-        failures=[(r.title, r.failure.phase, r.failure.error) for r in records if r.failure is not None],
+        scenes=[scene_section(place[0], place_name(place, scenes), group, colours) for place, group in scenes.items()],
+        skips=skipped_work([cell.record for cell in cells]),
+        failures=[(cell_title(r), r.failure.phase, r.failure.error) for r in records if r.failure is not None],
         problems=results.problems,
         environments=environments(records),
     )  # fmt: skip
@@ -60,8 +68,45 @@ def write_report(tables: Tables) -> Path:
     return path
 
 
-def _skipped(skip: SkipRecord) -> tuple[str, str, str]:
-    return skip["name"], skip["saved"] if skip["taken"] else "nothing", skip["reason"]
+def in_order(results: Results) -> list[Cell]:
+    """Return the finished cells in the order of the tables: scenes as planned, methods by their `order`, seeds."""
+    planned = {(scene.dataset, scene.scene): i for i, scene in enumerate(results.plan.scenes)}
+
+    def position(cell: Cell) -> tuple[Any, ...]:
+        column = method_label(cell.record, with_init=True)
+        return planned.get(cell.dataset_and_scene, len(planned)), methods.rank(column), cell.record.seed
+
+    return sorted(results.finished, key=position)
+
+
+def skipped_work(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
+    """Return name, saving and reason of each skip, and the cells that they are of: equal ones once."""
+    said: dict[tuple[str, str, str], list[Record]] = {}
+    for record in records:
+        for skip in record.skips:
+            key = skip["name"], skip["saved"] if skip["taken"] else "nothing", skip["reason"]
+            said.setdefault(key, []).append(record)
+    order = list(dict.fromkeys(name for name, *_ in said))
+    rows = [(*key, "all cells" if len(group) == len(records) else cells_in_words(group)) for key, group in said.items()]
+    return sorted(rows, key=lambda row: (order.index(row[0]), row[1] == "nothing"))
+
+
+def reasons_for_na(main: pd.DataFrame, metrics: Sequence[str]) -> list[str]:
+    """Return why numbers of a main table are n/a: scores, the rows that lack them, and the reason, once each."""
+    shown = main[main["metric"].isin(metrics)]
+    known = set(shown.loc[shown["value"].notna(), "metric"]) | set(COLUMNS)
+    missing = shown[shown["value"].isna() & shown["metric"].isin(known)]
+    rows_of = shown.groupby(["method", "metric"]).size()
+    found: dict[tuple[str, str], list[str]] = {}
+    for (metric, reason), group in missing.groupby(["metric", "reason"], sort=False):
+        who: list[str] = []
+        for method, rows in group.groupby("method", sort=False):
+            name = methods.label(str(method))
+            is_whole = len(rows) == rows_of[method, metric]
+            who += [name] if is_whole else [f"{name} on {LABELS.get(scene, scene)}" for scene in rows["scene"]]
+        all_rows = len(group) == rows_of[:, metric].sum()
+        found.setdefault(("all rows" if all_rows else named(who), str(reason)), []).append(MEASURES[str(metric)].label)
+    return [f"n/a: {', '.join(labels)} ({names}): {reason}" for (names, reason), labels in found.items()]
 
 
 def environments(records: list[Record]) -> list[list[tuple[str, str]]]:

@@ -1,114 +1,168 @@
-"""The report's part on one scene: pictures of a test view from every method, and training curves."""
+"""The report's part on one scene: a test view of every method, errors, depth, and training curves."""
 
 from __future__ import annotations
 
-import io
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from tdgbench.bench.failures import message
+from tdgbench.cells.folder import RENDERS, CellPictures
 from tdgbench.cells.ground_truth import masked_in_words
-from tdgbench.present.colours import THERMAL, colored, in_colour, shaded
-from tdgbench.present.figures import any_font, plain
-from tdgbench.present.html import embedded
-from tdgbench.present.view_pictures import DEPTH, ERROR_RANGE, middle_view, rendered_depth, view_pictures
+from tdgbench.present.colour_scale import ColourScale
+from tdgbench.present.colours import GUESSED, LEVELS, THERMAL, UNKNOWN, colored, colours_of_levels
+from tdgbench.present.html import embedded, filter_tables
+from tdgbench.present.view_pictures import DEPTH, ERROR, middle_view, rendered_depth, scale_of
+from tdgbench.report.panels import curve_panels, error_panel, line_colours
+from tdgbench.report.run_facts import cell_title
 from tdgbench.scoring.metrics.seen_pixels import is_barely_seen
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows
+from tdgbench.tables.latex import LABELS
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import MEASURES
 from tdgbench.tables.results import Cell
 
-CURVES = {"loss": "loss", "smoothed_psnr": "PSNR of training renders, dB", "gaussians": "Gaussians"}
+
+@dataclass
+class ShownCell:
+    """A method's first cell with what is drawn of it; None where it is n/a. depth, determinacy: (H, W).
+
+    errors: how many pixels of the test views have a render of -255 to 255 levels above the truth, (511,).
+    """
+
+    cell: Cell
+    label: str
+    pictures: CellPictures
+    psnr: float | None
+    depth: np.ndarray | None
+    determinacy: np.ndarray | None
+    errors: np.ndarray | None
 
 
-def scene_section(dataset: str, name: str, cells: list[Cell]) -> dict[str, Any]:
+def scene_section(
+    dataset: str, name: str, cells: Sequence[Cell], colours: Mapping[str, str] | None = None
+) -> dict[str, Any]:
     """Return pictures of the middle test view from each method's first cell, and the curves of all cells.
 
-    What cannot be read or drawn is n/a, with the reason in `problems`.
+    cells: methods in the order of the tables. colours: of curves, by column. What cannot be read or drawn is n/a,
+    with the reason in `problems`. Methods whose ground truth differs, as with another width, are shown apart.
     """
     first: dict[str, Cell] = {}
     for cell in cells:
         first.setdefault(method_label(cell.record, with_init=True), cell)
+    colours = colours or line_colours(first)
     view, problems = middle_view(first.values()), list[str]()
-    shown = [method_section(cell, view, methods.label(column), problems) for column, cell in first.items()]
+    groups: dict[tuple[object, ...], list[ShownCell]] = {}
+    for column, cell in first.items():
+        shown = _shown(cell, view, methods.label(column), problems)
+        if shown is not None:
+            truth, _, valid = shown.pictures
+            span = tuple(cell.record.temperature_range or ())
+            key = truth.shape, truth.tobytes(), None if valid is None else valid.tobytes(), span
+            groups.setdefault(key, []).append(shown)
     record = next(iter(first.values())).record
     return {
         "dataset": dataset,
-        "scene": name,
+        "scene": LABELS.get(name, name),
         "view": view or "n/a",
-        "methods": shown,
+        "views": len(next(iter(first.values())).views_with(RENDERS)),
+        "groups": [_group(group, colours) for group in groups.values()],
         "assumed": assumed_rows([(methods.label(cell.label), cell.record) for cell in cells]),
         "masked": masked_in_words(record.masked),
-        "temperature": None if record.temperature_range is None else [f"{t:g}" for t in record.temperature_range],
-        "ramp": embedded(colored(np.linspace(0, 1, 200)[None].repeat(8, 0), THERMAL, 0, 1)),
-        "error_range": ERROR_RANGE,
-        "curves": curves_as_svg(cells, problems),
+        "curves": curve_panels(cells, colours, problems),
         "problems": problems,
     }
 
 
-def method_section(cell: Cell, view: str, label: str, problems: list[str]) -> dict[str, Any]:
-    """Return pictures of a test view as data URIs, empty where they are n/a, and what is written below them."""
-    shown = {
-        **dict.fromkeys(("truth", "render", "error", "depth", "guesses"), ""),
-        **dict.fromkeys(("depth_range", "barely_seen"), "n/a"),
-        "label": label,
-        "psnr": MEASURES["psnr"].as_text(cell.record.scores.get("psnr")),
-    }
-    only_images = cell.record.made_elsewhere is not None and not cell.record.gaussians
-    for draw in (_pictures,) if only_images else (_pictures, _depth, _guesses):
+def _shown(cell: Cell, view: str, label: str, problems: list[str]) -> ShownCell | None:
+    """Return what is drawn of a cell; None, and a problem, where its pictures are unusable."""
+    of_gaussians = cell.record.made_elsewhere is None or bool(cell.record.gaussians)
+
+    def tried(read: Callable[[], Any], wanted: bool = True) -> Any:
         try:
-            shown |= draw(cell, view)
+            return read() if wanted else None
         except Exception as error:  # whatever is on disk, the page is written
-            problems.append(f"{cell.record.title}: {message(error)}")
-    return shown
+            problems.append(f"{cell_title(cell.record)}: {message(error)}")
+            return None
+
+    pictures = tried(lambda: cell.pictures(view))
+    if pictures is None:
+        return None
+    return ShownCell(
+        cell, f"{label}, seed {cell.record.seed}", pictures,
+        psnr=tried(lambda: cell.read_views().get(view, {}).get("psnr")),
+        depth=tried(lambda: rendered_depth(cell, view), of_gaussians),
+        determinacy=tried(lambda: cell.determinacy(view), of_gaussians),
+        errors=tried(lambda: error_counts(cell.pictures(name) for name in cell.views_with(RENDERS)),
+                     cell.record.temperature_range is not None),
+    )  # fmt: skip
 
 
-def _pictures(cell: Cell, view: str) -> dict[str, Any]:
-    pictures = view_pictures(cell, view)
-    return {name: embedded(getattr(pictures, name)) for name in ("truth", "render", "error")}
+def error_counts(views: Iterable[CellPictures]) -> np.ndarray:
+    """Return how many valid pixels have a render of -255 to 255 levels above the truth, (511,).
+
+    >>> view = CellPictures(np.uint8([[[7], [9]]]), np.uint8([[[6], [9]]]), np.array([[True, True]]))
+    >>> np.flatnonzero(error_counts([view])).tolist()
+    [254, 255]
+    """
+    counts = np.zeros(2 * LEVELS - 1, np.int64)
+    for truth, render, valid in views:
+        difference = (render.astype(int) - truth)[..., 0] + LEVELS - 1
+        counts += np.bincount(difference[... if valid is None else valid].ravel(), minlength=len(counts))
+    return counts
 
 
-def _depth(cell: Cell, view: str) -> dict[str, Any]:
-    depth = rendered_depth(cell, view)
-    known = depth[np.isfinite(depth)]
-    low, high = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
-    return {"depth": embedded(colored(depth, DEPTH, low, high)), "depth_range": f"{low:.3g} to {high:.3g}"}
-
-
-def _guesses(cell: Cell, view: str) -> dict[str, Any]:
-    render, determinacy = cell.pictures(view).render, cell.determinacy(view)
+def _group(shown: Sequence[ShownCell], colours: Mapping[str, str]) -> dict[str, Any]:
+    """Return the pictures of methods with one ground truth, on one scale, as data URIs; empty where they are n/a."""
+    truth, _, valid = shown[0].pictures
+    span = shown[0].cell.record.temperature_range
+    scale = scale_of([(one.pictures, span) for one in shown])
+    with_errors = [(one, one.errors) for one in shown if one.errors is not None and one.errors.any()]
+    depths = [one.depth[np.isfinite(one.depth)] for one in shown if one.depth is not None]
+    known = np.concatenate(depths) if depths else np.empty(0)
+    near, far = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
     return {
-        "guesses": embedded(shaded(in_colour(render), determinacy)),
-        "barely_seen": f"{is_barely_seen(determinacy).mean():.0%}",
+        "truth": embedded(truth),
+        "mask": "" if valid is None else embedded(np.dstack([np.full((*valid.shape, 3), UNKNOWN), 255 * ~valid])),
+        "scale": scale,
+        "tables": _tables(scale, truth.shape[2] == 1),
+        "ramp": embedded(np.arange(LEVELS, dtype=np.uint8)[None].repeat(8, 0)[..., None]) if scale.ends else "",
+        "size": f"{truth.shape[1]}×{truth.shape[0]} px",
+        "depth_range": f"{near:.3g} to {far:.3g}" if len(known) else "n/a",
+        "methods": [_pictures(one, near, far) for one in shown],
+        "errors": None if span is None else error_panel(
+            {one.label: errors for one, errors in with_errors}, span,
+            [colours[method_label(one.cell.record, with_init=True)] for one, _ in with_errors],
+        ),
+    }  # fmt: skip
+
+
+def _tables(scale: ColourScale, is_gray: bool) -> dict[str, list[str]]:
+    """Return tables of the page's filters that colour stored levels: of values, of a whole ramp, of differences."""
+    error = colours_of_levels(ERROR, 0, scale.error)
+    if not is_gray:
+        return {"error": filter_tables(error)}
+    values, ramp = colours_of_levels(THERMAL, scale.low, scale.high), colours_of_levels(THERMAL, 0, 1)
+    return {"values": filter_tables(values), "ramp": filter_tables(ramp), "error": filter_tables(error)}
+
+
+def _pictures(one: ShownCell, near: float, far: float) -> dict[str, Any]:
+    truth, render, _ = one.pictures
+    difference = np.abs(render.astype(float) - truth).mean(axis=2, keepdims=True)
+    guesses = barely = ""
+    if one.determinacy is not None:
+        blue = np.broadcast_to(np.array(GUESSED, np.uint8), (*one.determinacy.shape, 3))
+        guesses = embedded(np.dstack([blue, (255 * (1 - one.determinacy) + 0.5).astype(np.uint8)]))
+        barely = f"{is_barely_seen(one.determinacy).mean():.0%}".replace("%", " %")
+    return {
+        "label": one.label,
+        "psnr": MEASURES["psnr"].as_text(one.psnr),
+        "render": embedded(render),
+        "error": embedded((difference + 0.5).astype(np.uint8)),
+        "depth": "" if one.depth is None else embedded(colored(one.depth, DEPTH, near, far)),
+        "guesses": guesses,
+        "barely_seen": barely or "n/a",
     }
-
-
-def curves_as_svg(cells: list[Cell], problems: list[str]) -> str:
-    """Return loss, PSNR and number of Gaussians along each cell's training, as SVG; unreadable logs are n/a."""
-    figure = Figure(figsize=(10, 2.6))
-    panels = figure.subplots(1, len(CURVES))
-    figure.subplots_adjust(left=0.07, right=0.99, bottom=0.17, top=0.9, wspace=0.3)
-    for cell in cells:
-        if cell.record.made_elsewhere is not None:
-            continue
-        log = cell.log
-        if log is None or not {"seconds", *CURVES} <= set(log.columns):
-            problems.append(f"{cell.record.title}: log.csv is missing or no log, so its curves are n/a")
-            continue
-        for axes, column in zip(panels, CURVES, strict=True):
-            axes.plot(log["seconds"], log[column], linewidth=1, label=plain(methods.label(cell.label)))
-    for axes, title in zip(panels, CURVES.values(), strict=True):
-        axes.set_xlabel("seconds of training")
-        axes.set_title(title, fontsize=9, y=1.0)
-        axes.grid(linewidth=0.3)
-    if panels[0].lines:
-        panels[0].legend(fontsize=7)
-    buffer = io.StringIO()
-    with any_font():
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-    text = buffer.getvalue()
-    return text[text.index("<svg") :]

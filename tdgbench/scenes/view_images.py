@@ -69,7 +69,7 @@ def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | No
     channels = decide_channels(wanted, are_gray)
     images = {name: in_channels(view, channels) for name, view in images.items()}
     span = None if radiometry is None else radiometry.range
-    known = "of unknown °C" if span is None else f"0 and 1 are {span.min:g} and {span.max:g} °C"
+    known = "of unknown °C" if span is None else f"0 and 1 are {span.min:.4g} and {span.max:.4g} °C"
     assumed = {"values": f"gray, {known}" if are_gray else PALETTE}
     return ThermalImages(images, channels, span, assumed=assumed)
 

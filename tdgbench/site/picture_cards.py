@@ -13,7 +13,8 @@ from PIL import Image
 
 from tdgbench.cells.folder import RENDERS
 from tdgbench.cells.protocol import protocol_settings
-from tdgbench.present.view_pictures import middle_view, view_pictures
+from tdgbench.present.colour_scale import ColourScale
+from tdgbench.present.view_pictures import middle_view, view_pictures, view_scale
 from tdgbench.site.packed import Pack
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.results import Cell
@@ -55,8 +56,9 @@ def cards_of(packs: Sequence[Pack], dataset: str, scene: str) -> list[list[Card]
                 card.packs.append(pack)
     for section in sections.values():
         view = middle_view(card.cell for card in section.values())
+        scale = view_scale((card.cell for card in section.values()), view)
         for card in section.values():
-            _draw(card, view)
+            _draw(card, view, scale)
     return [[*section.values()] for section in sections.values()]
 
 
@@ -66,15 +68,15 @@ def _test_views(cell: Cell) -> str:
     return json.dumps([cell.record.data, {n: v for n, v in settings.items() if n.startswith("data.")}], sort_keys=True)
 
 
-def _draw(card: Card, view: str) -> None:
+def _draw(card: Card, view: str, scale: ColourScale) -> None:
     card.view = view
     try:
-        drawn = view_pictures(card.cell, view)
+        drawn = view_pictures(card.cell, view, scale)
     except (OSError, ValueError) as error:
         card.problem = str(error)
         return
     card.pictures = {"truth": drawn.truth, "render": drawn.render, "error": drawn.error}
-    card.scale = drawn.scale.sentence
+    card.scale = scale.sentence
 
 
 def files_of_cards(cards: Sequence[Card]) -> dict[str, bytes]:

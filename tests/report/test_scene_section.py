@@ -1,55 +1,82 @@
 import base64
 import io
+import shutil
 
 import numpy as np
 from PIL import Image
 
+from tdgbench.present.colours import GUESSED, colours_of_levels
+from tdgbench.report.panels import error_panel
 from tdgbench.report.scene_section import scene_section
 from tdgbench.tables.results import read_results
 
 
-def test_a_scene_shows_the_middle_view_of_every_method(small_results):
+def test_a_scene_shows_the_middle_view_of_every_method_on_one_scale(small_results):
     cells = cells_of(small_results)
     section = scene_section("synthetic", "turntable", cells)
     names = sorted(path.stem for path in (cells[0].folder / "renders").glob("*.png"))
-    assert section["view"] == names[len(names) // 2]
-    assert sorted(method["label"] for method in section["methods"]) == ["MSMG", "TDg"]
-    assert section["temperature"] == ["14", "50"] and section["curves"].startswith("<svg")
-    psnr = {method["label"]: method["psnr"] for method in section["methods"]}
-    scores = {cell.record.method: cell.record.scores["psnr"] for cell in cells}
-    assert psnr == {"MSMG": f"{scores['msmg']:.2f} dB", "TDg": f"{scores['tdg']:.2f} dB"}
+    view = names[len(names) // 2]
+    assert section["view"] == view and section["views"] == len(names)
+    (group,) = section["groups"]
+    psnr = {method["label"]: method["psnr"] for method in group["methods"]}
+    of_view = {cell.record.method: cell.read_views()[view]["psnr"] for cell in cells}
+    assert psnr == {"MSMG, seed 0": f"{of_view['msmg']:.2f} dB", "TDg, seed 0": f"{of_view['tdg']:.2f} dB"}
+    low, high = map(float, group["scale"].ends)
+    assert 14 <= low < high <= 50 and group["scale"].unit == " °C"
+    as_drawn = [np.array(column.split(), float) * 255 for column in group["tables"]["values"]]
+    expected = colours_of_levels("inferno", (low - 14) / 36, (high - 14) / 36)
+    assert np.abs(np.transpose(as_drawn) - expected).max() < 0.3
+    for cell, method in zip(cells, group["methods"], strict=True):  # what is drawn are the stored values
+        stored = cell.pictures(view)
+        assert np.array_equal(shown(group["truth"]), stored.truth[..., 0])
+        assert np.array_equal(shown(method["render"]), stored.render[..., 0])
+        assert np.array_equal(shown(method["error"]), np.abs(stored.render.astype(int) - stored.truth)[..., 0])
+    errors = np.concatenate([cell.pictures(view).error.ravel() for cell in cells])
+    assert (errors <= group["scale"].error * 1.05).mean() >= 0.95  # few are beyond the end of the scale
 
 
-def test_the_render_is_blue_where_the_scores_say_that_it_guesses(small_results):
+def test_methods_with_another_ground_truth_are_not_laid_over_one_another(small_results, tmp_path):
+    experiment = shutil.copytree(small_results, tmp_path / "single")
+    for path in experiment.glob("cells/msmg/*/turntable/*/*/t*/*.png"):
+        Image.fromarray(np.asarray(Image.open(path)) // 2).save(path)
+    groups = scene_section("synthetic", "turntable", cells_of(experiment))["groups"]
+    assert [[method["label"] for method in group["methods"]] for group in groups] == [["MSMG, seed 0"], ["TDg, seed 0"]]
+    assert groups[0]["scale"].high < groups[1]["scale"].high
+
+
+def test_it_is_blue_where_the_scores_say_that_the_method_guesses(small_results):
     cells = cells_of(small_results)
     section = scene_section("synthetic", "turntable", cells)
-    for cell, method in zip(cells, section["methods"], strict=True):
+    for cell, method in zip(cells, section["groups"][0]["methods"], strict=True):
         share = cell.read_views()[section["view"]]["barely_seen"]
-        assert method["barely_seen"] == f"{share:.0%}" and 0 < share < 1
-        redness = [
-            np.mean(pixels[..., 0] - pixels[..., 2].astype(float))
-            for pixels in map(shown, (method["render"], method["guesses"]))
-        ]
-        assert redness[1] < redness[0] - 1
+        assert method["barely_seen"] == f"{100 * share:.0f} %" and 0 < share < 1
+        overlay, known = shown(method["guesses"], "RGBA"), cell.determinacy(section["view"])
+        assert (overlay[..., :3] == GUESSED).all() and np.allclose(overlay[..., 3], 255 * (1 - known), atol=1)
 
 
-def test_masked_pixels_are_gray_and_named(masked_results):
+def test_masked_pixels_are_covered_and_named(masked_results):
     cells = cells_of(masked_results)
     section = scene_section("synthetic", "turntable", cells)
     shares = cells[0].record.masked
     assert section["masked"].startswith(
         f"{100 * shares['train']:.1f} % of the training and {100 * shares['test']:.1f} %"
     )
-    (method,) = section["methods"]
-    valid = cells[0].mask(section["view"])
-    for name in ("truth", "error"):
-        pixels = shown(method[name])
-        assert (pixels[~valid] == 128).all() and not (pixels[valid] == 128).all(axis=1).all(), name
-    assert not (shown(method["render"])[~valid] == 128).all()
+    cover, valid = shown(section["groups"][0]["mask"], "RGBA"), cells[0].mask(section["view"])
+    assert np.array_equal(cover[..., 3] == 255, ~valid) and np.array_equal(cover[..., 3] == 0, valid)
+    assert (cover[~valid][:, :3] == 128).all()
+    assert len(section["groups"][0]["errors"]["rows"]) == 1
 
 
-def shown(uri: str) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))))
+def test_errors_are_stated_in_degrees():
+    counts = np.zeros(511, int)
+    counts[[255 + 1, 255 - 4, 255 + 20]] = 60, 36, 4
+    (row,) = error_panel({"TDg": counts}, (0.0, 51.0), ["C0"])["rows"]  # a level is 0.2 °C
+    assert row == ["TDg", "0.2", "0.8", f"{(60 - 144 + 80) / 100 * 0.2:+.2f}"]
+
+
+def shown(uri: str, mode: str | None = None) -> np.ndarray:
+    picture = Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2])))
+    return np.asarray(picture if mode is None else picture.convert(mode))
 
 
 def cells_of(experiment):

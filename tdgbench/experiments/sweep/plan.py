@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from collections.abc import Iterable
+from datetime import UTC, datetime
 from pathlib import Path
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
 from tdgbench.bench.options import OptionError, check_options, names_to_text
-from tdgbench.cells.plan import IN_THE_PATH, Plan, configs_by, number_of_jobs, swept
+from tdgbench.cells.plan import (
+    IN_THE_PATH,
+    Command,
+    MethodEntry,
+    Plan,
+    configs_by,
+    method_entries,
+    number_of_jobs,
+    read_plan,
+    swept,
+)
 from tdgbench.experiments.experiment import prepare_prior
 from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import Dataset, Description, SceneError
 from tdgbench.terminal import say
+from tdgbench.text import without_folders
 
 
 def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
@@ -33,7 +47,11 @@ def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
     if jobs > 1:
         say(f"{cfg.name}: {jobs} cells, {without_data} without data", stderr=True)
     plan = _plan_of(cfg, list(dict.fromkeys(scenes)), jobs - without_data if number_of_jobs(cfg) else 0)
-    plan.write(Path(cfg.results) / cfg.name)  # for the tables
+    experiment = Path(cfg.results) / cfg.name
+    before = _plan_before(experiment)
+    plan.commands = [*(one for one in before.commands if one.words != plan.commands[0].words), *plan.commands]
+    plan.own_methods = before.own_methods | _own_methods(cfg)
+    plan.write(experiment)  # for the tables
     plan.write(Path(cfg.hydra.sweep.dir))  # for the jobs: another sweep may replace the other one meanwhile
     return jobs, without_data
 
@@ -66,7 +84,36 @@ def _plan_of(cfg: DictConfig, scenes: list[Description], cells_with_data: int) -
         inits=options.get("init", [cfg.init.name]),
         variant_keys=[key for key in options if key not in IN_THE_PATH or (alike and key == "dataset")],
         cells_with_data=cells_with_data,
+        commands=[
+            Command(without_folders(shlex.join(["tdgbench", *sys.argv[1:]])), f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC")
+        ],
     )
+
+
+def _plan_before(experiment: Path) -> Plan:
+    """Return the plan in an experiment's folder; an empty one where it cannot be read, and is replaced."""
+    try:
+        return read_plan(experiment)
+    except (OSError, ValueError):
+        return Plan()
+
+
+def _own_methods(cfg: DictConfig) -> dict[str, MethodEntry]:
+    """Return how tables print the chosen methods of the user's folders, and what is typed for a single method."""
+    entries: dict[str, MethodEntry] = {}
+    chosen = swept(cfg).get("method") or [cfg.hydra.runtime.choices.method]
+    for source in cfg.hydra.runtime.config_sources:
+        if source.provider == "command-line":
+            entries |= method_entries(Path(source.path), chosen)
+    typed = {key: cfg.method[key] for key in MethodEntry._fields if f"method.{key}" in _typed_keys(cfg)}
+    if typed and len(chosen) == 1:
+        name = str(cfg.method.name)
+        entries[name] = entries.get(name, MethodEntry(name))._replace(**typed)
+    return entries
+
+
+def _typed_keys(cfg: DictConfig) -> set[str]:
+    return {word.lstrip("+").partition("=")[0] for word in cfg.hydra.overrides.task}
 
 
 def unavailable_priors(cells: Iterable[DictConfig]) -> list[str]:

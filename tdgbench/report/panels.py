@@ -1,0 +1,111 @@
+"""Small plots of a scene as SVG that follows the page's colours: training curves, and errors in °C."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tdgbench.present.figures import any_font, plain
+from tdgbench.report.run_facts import cell_title
+from tdgbench.tables import methods
+from tdgbench.tables.long_table import method_label
+from tdgbench.tables.results import Cell
+
+CURVES = {"loss": "loss", "smoothed_psnr": "PSNR of training renders, dB", "gaussians": "Gaussians"}
+MOST_POINTS = 150  # of a curve; a plot of 3 inches shows no more
+BINS = 31  # at most, of errors
+SHARES = (0.5, 0.95)  # of pixels, within which errors are stated
+
+
+def line_colours(columns: Iterable[str]) -> dict[str, str]:
+    """Return the colour of each method's lines, by column."""
+    return {column: f"C{i % 10}" for i, column in enumerate(dict.fromkeys(columns))}
+
+
+def curve_panels(cells: Sequence[Cell], colours: Mapping[str, str], problems: list[str]) -> list[str]:
+    """Return loss, PSNR and number of Gaussians along each cell's training, as SVG; unreadable logs are n/a.
+
+    colours: by column; the seeds of a method share one.
+    """
+    logs: list[tuple[str, pd.DataFrame]] = []
+    for cell in cells:
+        if cell.record.made_elsewhere is not None:
+            continue
+        log = cell.log
+        if log is None or not {"seconds", *CURVES} <= set(log.columns):
+            problems.append(f"{cell_title(cell.record)}: log.csv is missing or no log, so its curves are n/a")
+            continue
+        logs.append((method_label(cell.record, with_init=True), log.iloc[:: -(-len(log) // MOST_POINTS)]))
+    panels = []
+    for column, title in CURVES.items() if logs else ():
+        figure, axes = _panel(title, "seconds of training")
+        for i, (method, log) in enumerate(logs):
+            is_first = all(before != method for before, _ in logs[:i])
+            axes.plot(log["seconds"], log[column], color=colours[method], linewidth=1,
+                      label=plain(methods.label(method)) if is_first else None)  # fmt: skip
+        panels.append(_as_svg(figure, axes))
+    return panels
+
+
+def error_panel(
+    errors: Mapping[str, np.ndarray], span: Sequence[float], colours: Sequence[str]
+) -> dict[str, Any] | None:
+    """Return a histogram of errors (render − truth) in °C as SVG, and rows of text on them; None without errors.
+
+    errors: `error_counts` by label. span: °C of values 0 and 1.
+    """
+    if not errors:
+        return None
+    step = (span[1] - span[0]) / 255
+    levels = np.arange(-255, 256)
+    widest = max(_within(counts, levels, 0.995) for counts in errors.values())
+    per_bin = max(1, -(-(2 * widest + 1) // BINS))
+    figure, axes = _panel("errors, share of the pixels (log)", "render − ground truth, °C")
+    rows = []
+    for (label, counts), colour in zip(errors.items(), colours, strict=True):
+        bins = np.round(levels / per_bin).astype(int)
+        shares = np.bincount(bins - bins[0], weights=counts) / counts.sum()
+        shown = np.abs(np.unique(bins)) * per_bin <= widest + per_bin
+        axes.step(np.unique(bins)[shown] * per_bin * step, shares[shown], where="mid", color=colour, linewidth=1,
+                  label=plain(label))  # fmt: skip
+        mean = float((counts * levels).sum() / counts.sum() * step)
+        digits = max(0, int(np.ceil(-np.log10(max(step, 1e-9)))))
+        within = (f"{_within(counts, levels, share) * step:.{digits}f}" for share in SHARES)
+        rows.append([label, *within, f"{mean:+.{digits + 1}f}"])
+    axes.set_yscale("log")
+    heads = ["method", *(f"{100 * share:.0f} % within ±, °C" for share in SHARES), "mean, °C"]
+    return {"svg": _as_svg(figure, axes), "heads": heads, "rows": rows, "step": f"{step:.1g} °C"}
+
+
+def _within(counts: np.ndarray, levels: np.ndarray, share: float) -> int:
+    """Return the least number of levels within which so large a share of the errors is."""
+    by_size = np.bincount(np.abs(levels), weights=counts)
+    return int(np.searchsorted(by_size.cumsum(), share * by_size.sum()))
+
+
+def _panel(title: str, below: str) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(3.6, 2.5))
+    axes = figure.subplots()
+    figure.subplots_adjust(left=0.17, right=0.97, bottom=0.19, top=0.89)
+    axes.set_title(title, fontsize=9, y=1.0)
+    axes.set_xlabel(below, fontsize=8)
+    axes.tick_params(labelsize=8)
+    axes.grid(linewidth=0.3)
+    return figure, axes
+
+
+def _as_svg(figure: Figure, axes: Axes) -> str:
+    """Return a figure as SVG whose black is the page's ink, so that it can be read on light and dark pages."""
+    axes.legend(fontsize=7, framealpha=0, labelcolor="black")
+    buffer = io.StringIO()
+    with any_font(), mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "tdgbench"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
+    text = buffer.getvalue()
+    return text[text.index("<svg") :].replace("#000000", "currentColor")

@@ -1,0 +1,153 @@
+"""What was run: the head of a report, from which a reader can judge and repeat it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from tdgbench.cells.record import Record
+from tdgbench.tables import methods
+from tdgbench.tables.latex import LABELS
+from tdgbench.tables.long_table import SPLITS, method_label, planned_iterations
+from tdgbench.tables.results import Results
+from tdgbench.text import MOST_NAMED
+
+Fact = Callable[[Record], str]
+NOT_STATED = "not stated by the version that ran it"
+
+
+def run_facts(results: Results) -> list[tuple[str, list[str]]]:
+    """Return titles and texts: one text where all cells agree, else one for each value, with the cells that have it."""
+    records = [cell.record for cell in results.finished]
+    commands = [f"{one.words} ({one.date})" for one in results.plan.commands]
+    facts = {"budget": _budgets(records), "seeds": _seeds(records), **FACTS}
+    return [
+        ("commands" if len(commands) > 1 else "command", commands or [NOT_STATED]),
+        *((title, said(fact, records)) for title, fact in facts.items() if records),
+    ]
+
+
+def said(fact: Fact, records: Sequence[Record]) -> list[str]:
+    """Return what records say of a fact; with the methods, scenes or cells that say it, where not all agree.
+
+    >>> cells = [Record(method, "", "a", "", 0, "", "", backend=method[0]) for method in ("tdg", "msmg", "mcmc")]
+    >>> said(lambda record: record.backend, cells)
+    ['t (TDg)', 'm (MSMG, 3DGS-MCMC)']
+    """
+    groups: dict[str, list[Record]] = {}
+    for record in records:
+        groups.setdefault(fact(record), []).append(record)
+    if len(groups) == 1:
+        return list(groups)
+    for name in (_method, _scene, _method_on_scene, cell_title):
+        names = [dict.fromkeys(map(name, group)) for group in groups.values()]
+        if sum(map(len, names)) == len({one for group in names for one in group}):  # no name says two things
+            break
+    return [f"{text} ({named(group)})" for text, group in zip(groups, names, strict=True)]
+
+
+def cells_in_words(records: Sequence[Record]) -> str:
+    """Return methods and scenes of cells, and seeds where a few of one are meant."""
+    return named(dict.fromkeys(cell_title(record) for record in records))
+
+
+def named(names: Iterable[str]) -> str:
+    """Return the first few names in their order, and how many more there are.
+
+    >>> named("abcdefg")
+    'a, b, c, d, e and 2 more'
+    """
+    listed = list(dict.fromkeys(names))
+    more = len(listed) - MOST_NAMED
+    return ", ".join(listed[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _method(record: Record) -> str:
+    return methods.label(method_label(record, with_init=True))
+
+
+def _scene(record: Record) -> str:
+    return LABELS.get(record.scene, record.scene)
+
+
+def _method_on_scene(record: Record) -> str:
+    return f"{_method(record)} on {_scene(record)}"
+
+
+def cell_title(record: Record) -> str:
+    """Return a cell's name as readers see it.
+
+    >>> cell_title(Record("tdg", "paper", "Truck", "random", 1, "", ""))
+    'TDg (random) on Truck, seed 1'
+    """
+    return f"{_method_on_scene(record)}, seed {record.seed}"
+
+
+def _seeds(records: Sequence[Record]) -> Fact:
+    """Return what tells all seeds of a record's method on its scene."""
+    seeds: dict[str, set[int]] = {}
+    for record in records:
+        seeds.setdefault(_method_on_scene(record), set()).add(record.seed)
+    return lambda record: ", ".join(map(str, sorted(seeds[_method_on_scene(record)])))
+
+
+def _budgets(records: Sequence[Record]) -> Fact:
+    """Return what tells a record's budget, and when the trainings with this budget ended."""
+    ends: dict[str, set[int]] = {}
+    for record in records:
+        ends.setdefault(_planned(record), set()).add(record.iterations)
+
+    def budget(record: Record) -> str:
+        first, last = min(ends[_planned(record)]), max(ends[_planned(record)])
+        if record.made_elsewhere is not None or first == last == planned_iterations(record):
+            return _planned(record)
+        return f"{_planned(record)}; ended after {f'{first} to ' * (first < last)}{last}"
+
+    return budget
+
+
+def _planned(record: Record) -> str:
+    if record.made_elsewhere is not None:
+        return "trained elsewhere"
+    return f"{record.setting('budget.name') or 'unnamed'}, at most {planned_iterations(record)} iterations"
+
+
+def _machine(record: Record) -> str:
+    e = record.environment
+    gpu = e.get("gpu")
+    device = ", ".join(map(str, gpu.values())) if isinstance(gpu, dict) else "no GPU"
+    threads = f"{e.get('threads')} thread{'s' * (e.get('threads') != 1)} a cell"
+    computer = f"{e.get('cpu') or NOT_STATED}, {e.get('cores')} cores"
+    return f"{computer}, {threads}; {device}; backend {record.backend or 'n/a'}"
+
+
+def _commit(record: Record) -> str:
+    git = record.environment.get("git")
+    if not isinstance(git, dict) or not git.get("commit"):
+        return "not from a checkout"
+    return f"{str(git['commit'])[:12]}{' with uncommitted changes' * bool(git.get('dirty'))}"
+
+
+def _version(record: Record) -> str:
+    packages = record.environment.get("packages")
+    return f"tdgbench {packages.get('tdgbench') if isinstance(packages, dict) else NOT_STATED}"
+
+
+def _views(record: Record) -> str:
+    views = " and ".join(f"{number} {name}" for name, number in record.views.items())
+    return f"{views or NOT_STATED}; split {record.split or 'n/a'}: {SPLITS.get(record.split, record.split or 'n/a')}"
+
+
+def _lpips(record: Record) -> str:
+    net = record.setting("metrics.lpips.net")
+    return f"{net or NOT_STATED}{'; LPIPS is n/a, see below the scores' * bool(record.missing.get('lpips'))}"
+
+
+FACTS: dict[str, Fact] = {
+    "version": lambda record: f"{_version(record)}, commit {_commit(record)}",
+    "machine": _machine,
+    "image sizes": lambda record: record.assumed.get("size", NOT_STATED),
+    "views": _views,
+    "initial points": lambda record: f"{record.init}: {record.init_points.get('how', NOT_STATED)}",
+    "LPIPS network": _lpips,
+    "protocol": lambda record: f"{record.protocol or 'n/a'}, metrics as {record.convention or 'n/a'}",
+}
