@@ -60,8 +60,9 @@ def describe_training(record: Record, ready: Training, log: TrainingLog, skips: 
     work = [part.work for part in trainer.all_parts().values() if isinstance(part, SplatModel)]
     curricula = [(one, it.budget.iterations) for it in trainer.contexts for one in it.curricula.values()]
     budget, method = trainer.whole_context.budget, trainer.method
-    finished = Finished(scene, method.name, "rgb" in method.modalities, budget, log.iterations, curricula, work)
-    record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(skips, finished)]
+    on_rgb = "rgb" in method.modalities
+    finished = Finished(scene, method.name, on_rgb, budget.iterations, log.iterations, curricula, work)
+    record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(skips, finished, budget.accounts)]
 
 
 def state_assumptions(record: Record, scene: Scene) -> None:

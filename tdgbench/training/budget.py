@@ -15,6 +15,7 @@ from tdgbench.training.pixels import PixelRule
 from tdgbench.training.plateau import PlateauRule
 from tdgbench.training.rule import Rule
 from tdgbench.training.settling import SettlingRule
+from tdgbench.training.skips import Account
 
 __all__ = ["RULES", "SKIP_RULES", "Budget", "GrowthRule", "HarmonicsRule", "PixelRule", "PlateauRule", "SettlingRule"]
 
@@ -45,9 +46,10 @@ class Budget:
         return {name: getattr(self, name) for name in RULES}
 
     @property
-    def skip_rules(self) -> dict[str, Rule | None]:
-        """Those of `SKIP_RULES`."""
-        return {name: getattr(self, name) for name in SKIP_RULES}
+    def accounts(self) -> dict[str, Account | None]:
+        """What decides the skip of each of `SKIP_RULES`; None: the rule is off."""
+        rules = {name: rule for name, rule in self.rules.items() if name in SKIP_RULES}
+        return {name: None if rule is None else rule.account for name, rule in rules.items()}
 
     @property
     def active_rules(self) -> list[Rule]:

@@ -20,7 +20,7 @@ from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.images import MODALITIES, THERMAL
 from tdgbench.training.part import Network, Part, RandomStream, Rate, State
 from tdgbench.training.rig import Rig
-from tdgbench.training.rule import DecideGrowth, ModelInputs
+from tdgbench.training.rule import BudgetFields, DecideGrowth, ModelInputs
 from tdgbench.training.skips import Skips
 from tdgbench.training.splat_model import ModelOptions, SplatModel
 
@@ -98,7 +98,9 @@ class Context:
     parts: dict[str, Part] = field(default_factory=dict, init=False)
     curricula: dict[str, Curriculum] = field(default_factory=dict, init=False)  # by modality
     _modality_of: dict[str, str] = field(default_factory=dict, init=False, repr=False)  # of Gaussians, by name
-    _adaptations: dict[str, list[Callable[[Budget], Budget]]] = field(default_factory=dict, init=False, repr=False)
+    _adaptations: dict[str, list[Callable[[BudgetFields], BudgetFields]]] = field(
+        default_factory=dict, init=False, repr=False
+    )
     _streams: int = field(default=0, init=False, repr=False)
 
     def curriculum(self, modality: str) -> Curriculum:
@@ -123,7 +125,7 @@ class Context:
             images = MODALITIES[modality]
             self._adaptations[modality] = [rule.adaptation(self.scene, images) for rule in self.budget.active_rules]
         for adapt in self._adaptations[modality]:
-            budget = adapt(budget)
+            budget = replace(budget, **adapt(vars(budget)))
         return budget
 
     def parts_trained_on(self, modality: str) -> dict[str, Part]:

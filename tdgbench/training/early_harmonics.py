@@ -12,7 +12,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 from tdgbench.scenes import Camera, Scene
 from tdgbench.training.curriculum import evenly_spread
 from tdgbench.training.images import Modality
-from tdgbench.training.rule import BudgetLike, Rule
+from tdgbench.training.rule import BudgetFields, Rule
 
 MOST_VIEWS = 8  # whose noise is measured
 _MOST_POINTS = 2000
@@ -33,7 +33,7 @@ class HarmonicsRule(Rule):
     most_noise: NonNegativeFloat  # standard deviation, of an image's values in [0, 1]
     most_angle: Annotated[float, Field(ge=0, le=180)]  # degrees, between directions from which a point is seen
 
-    def adaptation(self, scene: Scene, images: Modality) -> Callable[[BudgetLike], BudgetLike]:
+    def adaptation(self, scene: Scene, images: Modality) -> Callable[[BudgetFields], BudgetFields]:
         return self._sooner if self.applies(scene, images) else super().adaptation(scene, images)
 
     def applies(self, scene: Scene, images: Modality) -> bool:
@@ -47,13 +47,13 @@ class HarmonicsRule(Rule):
         cameras = [view.camera for view in scene.train]
         return noise <= self.most_noise and viewing_angle(scene.points.points, cameras) <= self.most_angle
 
-    def _sooner(self, budget: BudgetLike) -> BudgetLike:
-        if budget.sh_degree == 0:
-            return budget
-        settling = budget.settling
+    def _sooner(self, budget: BudgetFields) -> BudgetFields:
+        if budget["sh_degree"] == 0:
+            return {}
+        settling = budget["settling"]
         if settling is not None:
             settling = replace(settling, gain=min(settling.gain, self.gain))
-        return replace(budget, sh_every=min(budget.sh_every, self.every), settling=settling)
+        return {"sh_every": min(budget["sh_every"], self.every), "settling": settling}
 
 
 def viewing_angle(points: np.ndarray, cameras: Sequence[Camera]) -> float:

@@ -16,7 +16,7 @@ from tdgbench.training.images import Modality
 from tdgbench.training.part import Part, Stopping
 from tdgbench.training.skips import Finished, Skip
 
-BudgetLike = Any  # a `tdgbench.training.budget.Budget`, whose module imports the rules
+BudgetFields = Mapping[str, Any]  # values of `tdgbench.training.budget.Budget` by name
 DecideGrowth = Callable[[Gaussians, int, int], GrowthDecision]  # of Gaussians, the SH degree in use, the round's number
 
 
@@ -63,9 +63,9 @@ class Rule:
         """
         return []
 
-    def adaptation(self, scene: Scene, images: Modality) -> Callable[[BudgetLike], BudgetLike]:
-        """Return a function from the budget of models of a modality to that they train with; by default, the same."""
-        return lambda budget: budget
+    def adaptation(self, scene: Scene, images: Modality) -> Callable[[BudgetFields], BudgetFields]:
+        """Return a function from the budget of models of a modality to what they train with instead; nothing here."""
+        return lambda budget: {}
 
     def growth(self, model: ModelInputs) -> DecideGrowth | None:
         """Return the function that decides which Gaussians of a model grow; None: density control's threshold does."""

@@ -6,9 +6,9 @@ null.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from tdgbench.scenes import Scene
 from tdgbench.splats.density import DensityChange
@@ -101,32 +101,13 @@ class Work:
             setattr(self, name, getattr(self, name) + getattr(change, name))
 
 
-class Reporting(Protocol):
-    """What `tdgbench.training.rule.Rule` reports."""
-
-    def account(self, skip: Skip, training: Finished) -> None:
-        """Decide the skip of a finished training."""
-
-
-class Planned(Protocol):
-    """What the account reads of a `tdgbench.training.budget.Budget`."""
-
-    @property
-    def iterations(self) -> int:
-        """Iterations at most."""
-
-    @property
-    def skip_rules(self) -> Mapping[str, Reporting | None]:
-        """Rules that are skips; None: it is off."""
-
-
 class Finished(NamedTuple):
     """A training that is over."""
 
     scene: Scene
     method: str  # its name
     trains_on_rgb: bool
-    budget: Planned
+    planned: int  # iterations of the budget
     iterations: int  # trained
     curricula: list[tuple[Curriculum, int]]  # of each stage and modality, with the iterations of the stage's budget
     work: list[Work]  # of each set of Gaussians
@@ -134,24 +115,30 @@ class Finished(NamedTuple):
     @property
     def remaining(self) -> int:
         """Iterations of the budget that were not trained."""
-        return self.budget.iterations - self.iterations
+        return self.planned - self.iterations
 
     @property
     def left_out(self) -> str:
         """These iterations, in words."""
-        return f"{self.remaining} of {self.budget.iterations} iterations"
+        return f"{self.remaining} of {self.planned} iterations"
 
 
-def account(skips: Skips, training: Finished) -> list[Skip]:
-    """Return all skips of a training with reasons and savings: first the switches, then the rules of the budget."""
+Account = Callable[[Skip, Finished], None]  # of a rule: it decides the skip of a finished training
+
+
+def account(skips: Skips, training: Finished, accounts: Mapping[str, Account | None]) -> list[Skip]:
+    """Return all skips of a training with reasons and savings: first the switches, then the rules of the budget.
+
+    accounts: of the rules that are skips, by name; None: the rule is off.
+    """
     _account_switches(skips, training)
     found = skips.all()
-    for name, rule in training.budget.skip_rules.items():
-        skip = Skip(name, allowed=rule is not None)
-        if rule is None:
+    for name, account_of_rule in accounts.items():
+        skip = Skip(name, allowed=account_of_rule is not None)
+        if account_of_rule is None:
             skip.reason = f"the budget has no rule for {name}"
         else:
-            rule.account(skip, training)
+            account_of_rule(skip, training)
         found.append(skip)
     return found
 

@@ -63,8 +63,9 @@ def accounted(trainer, log) -> dict[str, Skip]:
     work = [model.work for model in trainer.gaussians.values()]
     curricula = [(one, context.budget.iterations) for context in trainer.contexts for one in context.curricula.values()]
     on_rgb = "rgb" in method.modalities
-    finished = Finished(whole.scene, method.name, on_rgb, whole.budget, log.iterations, curricula, work)
-    return {skip.name: skip for skip in account(whole.skips, finished)}
+    budget = whole.budget
+    finished = Finished(whole.scene, method.name, on_rgb, budget.iterations, log.iterations, curricula, work)
+    return {skip.name: skip for skip in account(whole.skips, finished, budget.accounts)}
 
 
 def after(scene, name="3dgs", **allowed):
