@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
+from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from tdgbench.bench.failures import EXPECTED_ERRORS
-from tdgbench.bench.signature import meant, option_meant
+from tdgbench.bench.signature import belongs_to, meant, option_meant
 
 
 def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
@@ -34,15 +35,20 @@ def _of_choice(error: MissingConfigException, words: Sequence[str]) -> str:
         return ""
     group, _, choice = error.missing_cfg_file.rpartition("/")
     there = ", ".join(error.options)
-    return f"{group}={choice}: there is no such {group}{meant(choice, error.options)} (there are {there})"
+    own = ""
+    if any("=" in word for word in words) and not {"--config-dir", "-cd"} & set(words):
+        own = f"; a file of yours, DIR/{error.missing_cfg_file}.yaml, needs --config-dir DIR"
+    return f"{group}={choice}: there is no such {group}{meant(choice, error.options)} (there are {there}){own}"
 
 
 def _of_option(error: ConfigCompositionException, words: Sequence[str]) -> str:
     if not isinstance(error.__cause__, ConfigAttributeError | ConfigKeyError):
         return ""
-    option = str(error.__cause__.full_key)
+    option, group = str(error.__cause__.full_key), error.__cause__.parent_node
+    place = option.rpartition(".")[0]
+    there = [f"{place}.{key}" for key in group] if place and isinstance(group, DictConfig) else []
     typed = next((word for word in words if word.lstrip("+~").startswith((f"{option}=", f"{option}."))), option)
-    return f"{typed}: is no option{option_meant(option)} (`tdgbench --cfg job` shows all)"
+    return f"{typed}: is no option{belongs_to(option) or meant(option, there) or option_meant(option)} (`tdgbench --cfg job` shows all)"
 
 
 def _of_configuration(error: HydraException | OmegaConfBaseException, words: Sequence[str]) -> str:

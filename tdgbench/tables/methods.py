@@ -1,28 +1,20 @@
 """How tables print a method, and what they compare it with: `label`, `order` and `compared_with` of its YAML file.
 
-The file's keys count as they stand there; a method does not inherit them from the files that it builds on.
+Files outside of tdgbench may be gone: plans of experiments keep what they said.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from omegaconf import OmegaConf
-
+from tdgbench.cells.plan import LAST, MethodEntry, method_entries
 from tdgbench.resources import conf_folder
 from tdgbench.tables.published import published_main
 
-LAST = 1000  # order of a method that names none
-
-
-class MethodEntry(NamedTuple):
-    """How tables print a method, as its file says: label, order of its column, baseline."""
-
-    label: str
-    order: int
-    compared_with: str | None
+PLAIN = "3dgs"  # what methods are compared with whose own baseline is not there
 
 
 class MethodPair(NamedTuple):
@@ -32,13 +24,21 @@ class MethodPair(NamedTuple):
     baseline: str
 
 
+_OWN: dict[str, MethodEntry] = {}
+
+
+def learn(own_methods: Mapping[str, MethodEntry]) -> None:
+    """Print the methods of a plan by their entries from now on; none replaces one of tdgbench."""
+    _OWN.update(own_methods)
+
+
 def entry(name: str) -> MethodEntry:
     """Return a method's entry; without a file or a label, its name is printed.
 
     >>> entry("tdg_released").label, entry("unheard_of").label
     ('TDg as released', 'unheard_of')
     """
-    return _entries(conf_folder()).get(name, MethodEntry(name, LAST, None))
+    return _entries().get(name, MethodEntry(name, LAST, None))
 
 
 def label(column: str) -> str:
@@ -58,9 +58,24 @@ def rank(column: str) -> tuple[int, str]:
 
 def pairs() -> list[MethodPair]:
     """Return every method that names another one to be compared with, in the order of columns."""
-    entries = _entries(conf_folder())
+    entries = _entries()
     named = [MethodPair(name, e.compared_with) for name, e in entries.items() if e.compared_with is not None]
     return sorted(named, key=lambda pair: rank(pair.method))
+
+
+def baselines(columns: Iterable[str]) -> list[MethodPair]:
+    """Return each column with the one that it is compared with: of the same points and options, its method's
+    `compared_with`, else 3DGS. Columns that have neither beside them are left out.
+
+    >>> baselines(["3dgs", "tdg", "tdg (random)"])
+    [MethodPair(method='tdg', baseline='3dgs')]
+    """
+    columns, found = list(columns), []
+    for column in sorted(columns, key=rank):
+        name, space, rest = column.partition(" ")
+        wanted = (f"{base}{space}{rest}" for base in (entry(name).compared_with, PLAIN) if base not in (None, name))
+        found += [MethodPair(column, base) for base in wanted if base in columns][:1]
+    return found
 
 
 def paper_pair() -> MethodPair:
@@ -80,13 +95,10 @@ def _published_methods() -> frozenset[str]:
     return frozenset(published_main()["method"])
 
 
+def _entries() -> dict[str, MethodEntry]:
+    return _OWN | _of_conf(conf_folder())
+
+
 @cache
-def _entries(conf: Path) -> dict[str, MethodEntry]:
-    entries = {}
-    for path in sorted((conf / "method").glob("*.yaml")):
-        content: Any = OmegaConf.load(path)
-        name = str(content.get("name", path.stem))
-        entries[name] = MethodEntry(
-            str(content.get("label", name)), int(content.get("order", LAST)), content.get("compared_with")
-        )
-    return entries
+def _of_conf(conf: Path) -> dict[str, MethodEntry]:
+    return method_entries(conf)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,14 +12,12 @@ from typing import TypeVar
 import pandas as pd
 
 from tdgbench.cells.folder import CellFolder
-from tdgbench.cells.key import flat
 from tdgbench.cells.paths import RECORD_FILE, VIEWS_FILE, cell_folder_of
 from tdgbench.cells.plan import Plan, read_plan
-from tdgbench.cells.protocol import protocols_apart
 from tdgbench.cells.record import READ_PHASE, Failure, Record, no_records, read_each
 from tdgbench.scoring import METRICS
+from tdgbench.tables import methods
 from tdgbench.tables.long_table import method_label, planned_iterations
-from tdgbench.text import as_typed
 
 Table = TypeVar("Table")
 UNNAMED = "single"  # `name` in conf/config.yaml: runs of any scenes, which make no table together
@@ -114,14 +111,14 @@ def read_results(experiment: Path) -> Results:
     except (OSError, ValueError) as error:
         plan = Plan()
         problems.append(f"{error}; tables show the cells that have records")
+    methods.learn(plan.own_methods)
     cells = _cells_in_place(experiment, problems)
     if experiment.absolute().name == UNNAMED and plan.scenes:
         scenes = {(scene.dataset, scene.scene) for scene in plan.scenes}
         cells = [cell for cell in cells if cell.dataset_and_scene in scenes]
     if not cells and not plan.scenes:
         raise no_records(experiment)
-    problems += _unlike_seeds(cells)
-    return Results(experiment, plan, _of_one_protocol(cells, problems), problems)
+    return Results(experiment, plan, cells, problems)
 
 
 def _cells_in_place(experiment: Path, problems: list[str]) -> list[Cell]:
@@ -142,53 +139,6 @@ def _cells_in_place(experiment: Path, problems: list[str]) -> list[Cell]:
         else:
             found.setdefault(place, cell)
     return list(found.values())
-
-
-def _unlike_seeds(cells: Sequence[Cell]) -> list[str]:
-    """Return a problem for each cell whose seeds have other options, so that their mean is of unlike trainings."""
-    by_place: dict[tuple[str, ...], list[Record]] = {}
-    for record in (cell.record for cell in cells if cell.record.failure is None):
-        place = (record.method, record.dataset, record.scene, record.init, record.variant)
-        by_place.setdefault(place, []).append(record)
-    problems = []
-    for seeds in by_place.values():
-        options = [flat({k: v for k, v in record.config.items() if k != "metrics"}) for record in seeds]
-        differ = [
-            name for name in options[0]
-            if name.rpartition(".")[2] != "seed" and len({as_typed(one.get(name)) for one in options}) > 1
-        ]  # fmt: skip
-        if differ:
-            values = ", ".join(dict.fromkeys(as_typed(one.get(differ[0])) for one in options))
-            more = f" and {len(differ) - 1} more" if len(differ) > 1 else ""
-            problems.append(
-                f"{seeds[0].title}: its seeds have different options ({differ[0]}: {values}{more}), and tables show "
-                "their mean: run them with the same, or delete those that are not meant"
-            )
-    return problems
-
-
-def _of_one_protocol(cells: Sequence[Cell], problems: list[str]) -> list[Cell]:
-    """Return the cells; in each column of tables, those that follow another protocol than most are failed ones."""
-    columns: dict[tuple[str, str, str, str], list[Record]] = {}
-    for record in (cell.record for cell in cells if cell.record.failure is None):
-        columns.setdefault((record.method, record.dataset, record.init, record.variant), []).append(record)
-    refused: dict[str, str] = {}
-    for column in columns.values():
-        usual = Counter(record.protocol for record in column).most_common(1)[0][0]
-        example = next(record for record in column if record.protocol == usual)
-        for record in column:
-            difference = protocols_apart(record, example)
-            if difference:
-                refused[record.title] = (
-                    f"its protocol is {record.protocol or 'without a number'}, that of most cells of its column "
-                    f"{usual or 'without one'} ({difference}): scores of two protocols do not compare; run it again"
-                )
-    problems += [f"{title}: {problem}" for title, problem in refused.items()]
-    titles = [cell.record.title for cell in cells]
-    return [
-        _failed(cell, "score", refused[title]) if title in refused else cell
-        for cell, title in zip(cells, titles, strict=True)
-    ]
 
 
 def _failed(cell: Cell, phase: str, problem: str) -> Cell:

@@ -100,6 +100,8 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
      "dataset.loader.errors: is no option; there are root, options, layout; it belongs to dataset=drifting, synthetic"),
     ("method=tgd", "method=tgd: there is no such method; did you mean tdg? (there are 3dgs,"),
     ("+experiment=tabel1", "experiment=tabel1: there is no such experiment; did you mean table1? (there are budgets,"),
+    ("method=msmg method.method.lambda_depth=1",
+     "method.method.lambda_depth=1: is no option; it belongs to method=depth_regularised, tdg ("),
     ("metrics.lpips.weights=none.pth", "metrics.lpips.weights=none.pth: there is no such file"),
     ("thermal_camera.rig=maybe", "thermal_camera.rig=maybe: must be a valid boolean or auto"),
     ("method.method._target_=pathlib.Path",
@@ -109,6 +111,8 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
 def test_what_there_is_not_is_one_line_with_what_there_is(tmp_path, word, said):
     run = command_here(tmp_path, *word.split())
     assert run.returncode == 1 and run.stderr.startswith(f"error: {said}") and run.stderr.count("\n") == 1, run.stderr
+    own = f"; a file of yours, DIR/{word.lstrip('+').replace('=', '/')}.yaml, needs --config-dir DIR\n"
+    assert run.stderr.endswith(own) == ("there is no such" in said and "file" not in said)
 
 
 def test_a_folder_whose_name_is_too_long(tmp_path):

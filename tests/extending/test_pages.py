@@ -23,7 +23,9 @@ from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scoring import metrics
 from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.ply import load_ply
+from tdgbench.tables.build import build_tables
 from tdgbench.verify.cell import verify_cell
+from tests.helpers.command import tdgbench_here
 from tests.helpers.configs import QUICK, config
 from tests.helpers.gaussians import random_gaussians
 from tests.helpers.page import PAGES, Page
@@ -72,7 +74,13 @@ def test_code_is_formatted_and_linted(page, name):
 
 def test_method(page, data_root):
     method = page("method")
+    mistyped = tdgbench_here(method.folder, "--config-dir=yaml", "method=gradient", "method.method.lambda_grad=1")
+    assert "lambda_grad=1: is no option; did you mean method.method.lambda_gradient?" in mistyped.stderr
     assert method.run(f"data.root={data_root}", *QUICK) == 0
+    assert "Gradient against 3DGS on turntable" in tdgbench_here(method.folder, "tables", "results/single").stdout
+    tables = build_tables(method.folder / "results/single")
+    assert tables.main["method"].unique().tolist() == ["gradient", "3dgs"]
+    assert ">Gradient<" in (method.folder / "results/single/report.html").read_text(encoding="utf-8")
     plain, gradient = sorted(records(method), key=lambda record: record.method)
     assert (plain.method, gradient.method) == ("3dgs", "gradient") and plain.scores != gradient.scores
     log = pd.read_csv(next((method.folder / "results/single/cells/gradient").rglob("log.csv")))
