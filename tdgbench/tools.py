@@ -37,8 +37,8 @@ TOOLS = {
     "score": Tool((), "tdgbench.rescore.command"),
     "data": Tool(
         (
-            ("get NAME DIR, check DIR", "download thermalmix, rgbt_scenes or thermoscenes; which scenes are whole?"),
-            ("prepare CAMERA_FILES OUT", "make a scene: temperatures, COLMAP model, undistorted images"),
+            ("get NAME DIR, sample DIR", "download a published data set; write a built-in scene as files"),
+            ("check DIR, prepare FILES OUT", "which scenes are whole? make a scene of camera files"),
             ("export SCENE OUT, poses A B", "as the authors' programs read it; errors against a reference's poses"),
         ),
         "tdgbench.data.command",

@@ -109,6 +109,9 @@ class RegisteredDataset(Outlines):
         folder = self._find(description.scene)
         if folder is None:
             raise MissingScenesError([description.scene], self.explain_missing([description.scene]))
+        if detect(folder) is LAYOUTS["sear"]:
+            what = "whose cameras and images are others: read it with dataset=sear"
+            raise SceneError(f"{folder} is of SEAR's compilation, and no scene of {description.dataset}, {what}")
         return outline_scene(folder, description, self.options, None)
 
     def explain_missing(self, names: list[str]) -> str:

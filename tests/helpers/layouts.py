@@ -129,6 +129,24 @@ def write_thermoscenes(
     return folder
 
 
+def write_sear(scene: Scene, folder: Path, registered: bool = True) -> Path:
+    """`transforms.json` of pairs, `images/`, `thermal/`. registered: whether RGB and thermal images have one camera."""
+    frames = []
+    for view in scene.views:
+        K, camera = view.camera.K, view.camera
+        numbers = {"w": camera.width, "h": camera.height, "fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2],
+                   "cy": K[1, 2], "fovx": 60.0, "transform_matrix": camera.world_to_camera[:3].tolist()}  # fmt: skip
+        pair = {}
+        for kind, place, image in (("rgb", "images", view.rgb), ("thermal", "thermal", view.thermal)):
+            (folder / place).mkdir(parents=True, exist_ok=True)
+            _picture(image).save(folder / place / f"{view.name}.png")
+            pair[kind] = {**numbers, "file_path": f"{place}/{view.name}.png", "type": kind}
+        pair["rgb"] |= {} if registered else {"fl_x": 2 * K[0, 0]}
+        frames.append(pair)
+    (folder / "transforms.json").write_text(json.dumps({"type": "oru", "frames": frames}, indent=4), encoding="utf-8")
+    return folder
+
+
 def write_ti_nsd(scene: Scene, folder: Path) -> Path:
     """`images/` of thermal images alone, `sparse/0`."""
     write_model(scene, folder / "sparse" / "0", "PINHOLE", ".png")
@@ -206,6 +224,7 @@ LAYOUTS = {
     "thermalmix_images": Shipped(partial(write_downloaded_thermalmix, states_range=True), "thermalmix", "folder"),
     "rgbt_scenes": Shipped(write_rgbt_scenes, "rgbt_scenes", "folder", in_celsius=False),
     "thermoscenes": Shipped(write_thermoscenes, "thermoscenes", "thermoscenes"),
+    "sear": Shipped(write_sear, "sear", "sear", in_celsius=False),
     "ti_nsd": Shipped(write_ti_nsd, "ti_nsd", "ti_nsd", has_rgb=False, in_celsius=False),
 }
 

@@ -62,7 +62,7 @@ class Zenodo:
             }
             for name, content in self.files.items()
         ]
-        return json.dumps({"id": 1, "files": files}).encode()
+        return json.dumps({"id": 1, "files": files, "metadata": {"license": {"id": "cc-by-4.0"}}}).encode()
 
     def fault(self, name: str) -> Fault:
         return self.faults[name].pop(0) if self.faults.get(name) else Fault()

@@ -30,8 +30,12 @@ def run(arguments: argparse.Namespace) -> int:
     source = SOURCES[arguments.dataset]
     folder = arguments.root / source.folder
     say(f"{source.folder} ({source.paper}): {source.page}")
+    if arguments.list:
+        say(source.holds)
+        say(f"the address, when last known of: {source.known}")
     try:
-        packages, others = packages_of(source, list_files(source, arguments.zenodo), arguments.scene)
+        published = list_files(source, arguments.zenodo)
+        packages, others = packages_of(source, published.files, arguments.scene)
         if others:
             say(one_line(f"not fetched: {', '.join(map(str, others))}; scenes belong into {folder}"))
         if not arguments.list:
@@ -39,12 +43,14 @@ def run(arguments: argparse.Namespace) -> int:
     except GetError as error:
         raise GetError(
             f"{error}; or open {source.page} in a browser and unpack its scenes to {folder}/<Scene>; if the page is "
-            f"gone, ask its authors ({source.authors})"
+            f"gone (last known: {source.known}), ask its authors ({source.authors})"
         ) from error
     there = scene_folders(source, folder)
     for package in packages:
         scene = f", scene {package.scene}" if package.scene else ""
         files = "" if package.is_archive else f", {len(package.files)} files"
         say(one_line(f"{package.name}{scene}{files}: {amount(package.size)}, {state(package, there, arguments.force)}"))
+    if published.licence:
+        say(one_line(f"licence, as the record states: {published.licence}"))
     say(f"in all {amount(sum(package.size or 0 for package in packages) or None)}")
     return 0

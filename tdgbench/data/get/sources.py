@@ -39,7 +39,8 @@ class PublishedDataset:
     """A published data set.
 
     folder: of the data set in a data root. page: the address for a browser, which ends in the identifier of a Zenodo
-    record or of a Google Drive folder. authors: whom to ask if it is gone.
+    record or of a Google Drive folder. authors: whom to ask if it is gone. known: when the address was last known to
+    work or not, and by whom. holds: what, and under which licence.
     """
 
     dataset: str
@@ -47,6 +48,8 @@ class PublishedDataset:
     paper: str
     page: str
     authors: str
+    known: str
+    holds: str
 
     def scene(self, folder: str) -> str:
         """Return the name of a scene: the paper's for a name or alias of one of its scenes, else the folder's.
@@ -58,19 +61,36 @@ class PublishedDataset:
         return next(known, folder)
 
 
+BY_ZENODO = "licence: as the record states, which --list shows"
 SOURCES = {
     source.dataset: source
     for source in (
         # mert-o/ThermalNeRFs, readme.md, d822bd1
-        PublishedDataset("thermalmix", DATASETS["thermalmix"], "Özer et al. 2024",
-               f"{ZENODO}/records/11065834", "github.com/mert-o/ThermalNeRFs"),
-        # chen-hangyu/Thermal-Gaussian-main, README.md, 050c291; issue 14 (November 2025): the folder is gone
-        PublishedDataset("rgbt_scenes", DATASETS["rgbt_scenes"], "Lu et al. 2024",
-               f"{DRIVE}/drive/folders/1xuPwqezNW_LSB5C-H8TQFJ7nLoSS2BOg",
-               "github.com/chen-hangyu/Thermal-Gaussian-main"),
+        PublishedDataset(
+            "thermalmix", DATASETS["thermalmix"], "Özer et al. 2024", f"{ZENODO}/records/11065834",
+            "github.com/mert-o/ThermalNeRFs", "April 2026: others name it as their source (SEAR 7a2e71b)",
+            f"6 scenes, 5 of them the paper's, about 360 images; {BY_ZENODO}",
+        ),
+        # chen-hangyu/Thermal-Gaussian-main, README.md, 050c291; issue 14 is still open
+        PublishedDataset(
+            "rgbt_scenes", DATASETS["rgbt_scenes"], "Lu et al. 2024",
+            f"{DRIVE}/drive/folders/1xuPwqezNW_LSB5C-H8TQFJ7nLoSS2BOg", "github.com/chen-hangyu/Thermal-Gaussian-main",
+            "24 November 2025: readers report that it is gone (404)",
+            "10 scenes, 7 of them the paper's, and an extension with GlassCup and DarkScenes; licence: not known here",
+        ),
         # Schindler-EPFL-Lab/thermo-nerf, README.md, 08d9be9
-        PublishedDataset("thermoscenes", "ThermoScenes", "Hassan et al. 2024",
-               f"{ZENODO}/records/10835108", "github.com/Schindler-EPFL-Lab/thermo-nerf"),
+        PublishedDataset(
+            "thermoscenes", "ThermoScenes", "Hassan et al. 2024", f"{ZENODO}/records/10835108",
+            "github.com/Schindler-EPFL-Lab/thermo-nerf", "April 2026: others name it as their source (SEAR 7a2e71b)",
+            f"16 scenes by its paper, none of them in TDg's; {BY_ZENODO}",
+        ),
+        # Schindler-EPFL-Lab/SEAR, README.md, d53ed32; docs/Dataset.md, 7a2e71b
+        PublishedDataset(
+            "sear", "SEAR", "Skorokhodov et al. 2026", f"{ZENODO}/records/19057885",
+            "github.com/Schindler-EPFL-Lab/SEAR", "29 April 2026: its authors name it; this package has not tried it",
+            "scenes of the three above and of others, with cameras by VGGT and gray images of the radiometric files: "
+            f"scores of dataset=sear are none of theirs; {BY_ZENODO}",
+        ),
     )
 }  # fmt: skip
 
@@ -93,12 +113,28 @@ class _Entry(BaseModel):
     links: dict[str, str]
 
 
+class _Licence(BaseModel):
+    id: str
+
+
+class _Metadata(BaseModel):
+    license: _Licence | None = None
+
+
 class _ZenodoRecord(BaseModel):
     files: list[_Entry]
+    metadata: _Metadata = _Metadata()
 
 
-def list_files(source: PublishedDataset, zenodo: str = ZENODO) -> list[RemoteFile]:
-    """Return the published files of a data set. Raises GetError.
+class Listing(NamedTuple):
+    """The published files of a data set, and the licence that their record states, or an empty text."""
+
+    files: list[RemoteFile]
+    licence: str = ""
+
+
+def list_files(source: PublishedDataset, zenodo: str = ZENODO) -> Listing:
+    """Return what is published of a data set. Raises GetError.
 
     zenodo: address of Zenodo, or of a mirror that speaks its API. Google gives neither sizes nor sums to a program
     without an account; gdown >= 6 lists any number of files (before, a list ended after 50: its pull request 453).
@@ -109,13 +145,14 @@ def list_files(source: PublishedDataset, zenodo: str = ZENODO) -> list[RemoteFil
             found = gdown.download_folder(
                 id=identifier, quiet=True, use_cookies=False, skip_download=True, timeout=TIMEOUT
             )
-            files = [(safe_path(Path(one.path).as_posix()), one.id) for one in found if not isinstance(one, str)]
-            return [RemoteFile(path, f"{DRIVE}/uc?id={key}", 0, f"drive:{key}") for path, key in files]
+            paths = [(safe_path(Path(one.path).as_posix()), one.id) for one in found if not isinstance(one, str)]
+            return Listing([RemoteFile(path, f"{DRIVE}/uc?id={key}", 0, f"drive:{key}") for path, key in paths])
         url = f"{zenodo.rstrip('/')}/api/records/{identifier}"
         answer = requests.get(url, headers={"User-Agent": AGENT}, timeout=TIMEOUT)
         answer.raise_for_status()
-        entries = _ZenodoRecord.model_validate_json(answer.content).files
-        return [RemoteFile(safe_path(e.key), e.links["self"], e.size, e.checksum) for e in entries]
+        record = _ZenodoRecord.model_validate_json(answer.content)
+        files = [RemoteFile(safe_path(e.key), e.links["self"], e.size, e.checksum) for e in record.files]
+        return Listing(files, "" if record.metadata.license is None else record.metadata.license.id)
     except (*FAILURES, KeyError, ValueError) as error:  # pydantic's are ValueError
         raise GetError(f"the files of {source.folder} cannot be listed: {_reason(error)}") from error
 

@@ -7,7 +7,8 @@ from tdgbench.scenes.layouts.layout import Layout, SceneFiles
 from tdgbench.scenes.layouts.plain import RGBT_SCENES, TI_NSD
 
 # In the order in which they are looked for: each is more general than those before it.
-LAYOUTS = {layout.name: layout for layout in (thermalmix.LAYOUT, thermoscenes.LAYOUT, RGBT_SCENES, TI_NSD)}
+_ORDER = thermalmix.LAYOUT, thermoscenes.LAYOUT, thermoscenes.SEAR, RGBT_SCENES, TI_NSD
+LAYOUTS = {layout.name: layout for layout in _ORDER}
 
 __all__ = ["LAYOUTS", "Layout", "SceneFiles", "detect"]
 

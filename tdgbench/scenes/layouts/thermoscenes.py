@@ -5,27 +5,38 @@ thermo_scenes/docs/Collect_new_dataset.md: `transforms.json` (or `transforms_the
 `thermal_file_path` per frame; without the latter, the file of the same name in `thermal/`. 8-bit gray images span the
 `temperature_bounds.json`. The shipped split is that of `<split>_filenames`, or of file names with `train` or `eval`.
 RGB and thermal images share a camera, so both are undistorted alike.
+
+SEAR's compilation of published captures (Schindler-EPFL-Lab/SEAR 7a2e71b, docs/Dataset.md) has pairs of images as
+frames, with cameras by VGGT, and gray images made of the cameras' radiometric files: a data set of its own.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import SUFFIXES
-from tdgbench.scenes.inputs import is_there, regular_file
+from tdgbench.scenes.inputs import is_there, read_bytes, regular_file
 from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, by_view, find_images, find_masks, model_folders
 from tdgbench.scenes.layouts.transforms import POINTS, Transforms, read_points, read_transforms, there, where_they_are
 from tdgbench.scenes.temperature import BOUNDS_FILE, BOUNDS_KEYS, FILE, read_radiometry
 
+PAIR, HEAD = re.compile(rb'"(rgb|thermal)"\s*:\s*\{'), 4096  # bytes
 JSON_FILES = ("transforms.json", "transforms_thermal.json")
 
 
 def _fits(folder: Path) -> bool:
-    """Return whether a folder has this layout and no COLMAP model where RGBT-Scenes has it."""
+    """Return whether a folder has a transforms.json and no COLMAP model where RGBT-Scenes has it."""
     return _json_file(folder) is not None and not model_folders(folder, ("sparse/0", "sparse"))
+
+
+def _has_pairs(folder: Path) -> bool:
+    """Return whether a transforms.json begins as SEAR's do."""
+    path = _json_file(folder)
+    return path is not None and _fits(folder) and PAIR.search(read_bytes(path)[:HEAD]) is not None
 
 
 def _find(folder: Path) -> SceneFiles:
@@ -105,6 +116,7 @@ LAYOUT = Layout(
     "thermoscenes",
     "ThermoScenes",
     f"transforms.json (nerfstudio), images/, thermal/, {BOUNDS_FILE}, [{POINTS}]",
-    _fits,
+    lambda folder: _fits(folder) and not _has_pairs(folder),
     _find,
 )
+SEAR = Layout("sear", "SEAR", "transforms.json of pairs (SEAR), images/, thermal/", _has_pairs, _find)

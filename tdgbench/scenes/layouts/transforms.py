@@ -155,6 +155,9 @@ def read_transforms(path: Path) -> Transforms:
         content = read_json(path)
     file = _parsed(_File, content, str(path))
     _check_keys(content, str(path))
+    pairs = is_of_pairs(file.frames[0])
+    if pairs:
+        file.frames = [_frame_of_pair(frame, f"{path}: frame {number}") for number, frame in enumerate(file.frames)]
     if file.applied_scale != 1 and (file.ply_file_path is not None or is_there(path.parent / POINTS)):
         raise SceneError(
             f"{path} has the applied_scale {file.applied_scale:g}, which programs apply to points in different ways: "
@@ -182,7 +185,30 @@ def read_transforms(path: Path) -> Transforms:
     lists = {split: getattr(file, f"{split}_filenames") for split in SPLITS}
     parts = {split: _listed(paths, views, path) for split, paths in lists.items() if paths is not None}
     said = {"intrinsics": f"{', '.join(sorted(assumed))}: {path.name} does not say it"} if assumed else {}
+    said |= {"cameras": "SEAR's of each thermal image, world to camera"} if pairs else {}
     return Transforms(frames, parts, file.ply_file_path, file.applied_transform, said)
+
+
+def is_of_pairs(frame: dict[str, object]) -> bool:
+    """Return whether a frame is a pair of images with a camera each, as of Schindler-EPFL-Lab/SEAR 7a2e71b."""
+    return isinstance(frame.get("rgb"), dict) and isinstance(frame.get("thermal"), dict)
+
+
+def _frame_of_pair(frame: dict[str, object], where: str) -> dict[str, object]:
+    """Return the thermal image of a pair as nerfstudio's frame, with its RGB image if both have one camera.
+
+    SEAR's `transform_matrix` is world to camera in OpenCV's axes. Raises SceneError.
+    """
+    if not is_of_pairs(frame):
+        raise SceneError(f"{where} has no rgb and thermal image, as the first frame has. Correct the file")
+    rgb, own = dict(frame["rgb"]), dict(frame["thermal"])  # type: ignore[call-overload]
+    with decoding(Path(where), "a pair of SEAR", "copy or download it again"):
+        to_world = np.linalg.inv(_matrix(own.get("transform_matrix")))
+        to_world[:3, :3] = to_world[:3, :3] @ OPENGL_TO_OPENCV
+    camera = {"transform_matrix", *_Intrinsics.model_fields}
+    is_registered = all(rgb.get(name) == own.get(name) for name in camera)
+    image = rgb.get("file_path") if is_registered else own.get("file_path")
+    return {**own, "transform_matrix": to_world.tolist(), "thermal_file_path": own.get("file_path"), "file_path": image}
 
 
 def there(path: Path) -> Path | None:

@@ -37,7 +37,7 @@ def no_waits(monkeypatch):
 
 def get(folder: Path, server, *scenes: str, force: bool = False) -> bool:
     """Fetch into a folder; return whether all could be used."""
-    packages, _ = packages_of(SOURCE, list_files(SOURCE, server.address), list(scenes))
+    packages, _ = packages_of(SOURCE, list_files(SOURCE, server.address).files, list(scenes))
     return fetch(SOURCE, folder, packages, force)
 
 

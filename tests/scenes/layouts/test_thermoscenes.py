@@ -4,8 +4,8 @@ import shutil
 import numpy as np
 import pytest
 
-from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
-from tests.helpers.layouts import write_model, write_thermoscenes
+from tdgbench.scenes import FolderDataset, ReadOptions, RegisteredDataset, SceneError
+from tests.helpers.layouts import write_model, write_sear, write_thermoscenes
 from tests.helpers.scenes import load
 
 
@@ -154,3 +154,18 @@ def test_a_damaged_file_is_one_error(small_gray_scene, tmp_path, name, content, 
     (folder / name).write_bytes(content)
     with pytest.raises(SceneError, match=message):
         load(folder)
+
+
+@pytest.mark.parametrize("registered", [True, False])
+def test_pairs_of_sear_are_a_data_set_of_their_own(small_gray_scene, tmp_path, registered):
+    """World-to-camera matrices in OpenCV's axes; an RGB image of another camera is no registered pair."""
+    write_sear(small_gray_scene, tmp_path / "ThermalMix" / "Pan", registered)
+    assert FolderDataset(str(tmp_path / "ThermalMix"), ReadOptions(), "thermoscenes").names() == []
+    with pytest.raises(SceneError, match=r"Pan is of SEAR.s compilation, .* read it with dataset=sear"):
+        RegisteredDataset(str(tmp_path), ReadOptions()).load("Pan")
+    scene = FolderDataset(str(tmp_path / "ThermalMix"), ReadOptions(), "sear").load("Pan")
+    assert scene.dataset == "SEAR" and scene.assumed["cameras"].startswith("SEAR's")
+    for view, original in zip(scene.views, small_gray_scene.views, strict=True):
+        assert view.name == original.name and (view.load_rgb is not None) == registered
+        assert np.allclose(view.camera.world_to_camera, original.camera.world_to_camera, atol=1e-9)
+        assert np.allclose(view.camera.K, original.camera.K) and np.abs(view.thermal - original.thermal).max() < 3e-3
