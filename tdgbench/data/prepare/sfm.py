@@ -57,7 +57,7 @@ class SfmOptions:
 
 @dataclass(frozen=True)
 class Structure:
-    """The largest model, with those joined to it; or known poses. poses: world-to-camera (4, 4) by image file.
+    """The largest model, or known poses. poses: world-to-camera (4, 4) by image file.
 
     error_px: mean reprojection error, None without matches. models: registered images of each model found. features,
     matches: by image file, keypoints and verified matches with all other images. notes: for the report. is_in_metres:
@@ -93,18 +93,20 @@ def reconstruct(
         _check_focal_lengths(models)
         pycolmap.set_random_seed(options.seed)
         best = models[0]
-        notes += add_models(*models)
-        if best.num_reg_images() > sizes[0]:
-            refined = stages.make("joined", None, lambda place: _refine(best, database, images, place, options))
-            best = pycolmap.Reconstruction(refined)
+        posed = {image.name for image in best.images.values() if image.has_pose}
+        if lost := {image.name for model in models[1:] for image in model.images.values() if image.has_pose} - posed:
+            notes.append(
+                f"{len(lost)} images are of smaller models, in worlds of their own, and are left out; if they share "
+                "images, colmap model_merger joins them: give the result as --poses"
+            )
     is_in_metres = False
     if positions is not None:
         note, is_in_metres = to_metres(best, dict(zip(names, positions, strict=True)), options.seed)
         notes.append(note)
-    posed = [image for image in best.images.values() if image.has_pose]
-    poses = {image.name: np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]) for image in posed}
+    placed = [image for image in best.images.values() if image.has_pose]
+    poses = {image.name: np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]) for image in placed}
     (lens,) = {image.camera_id: best.cameras[image.camera_id] for image in best.images.values()}.values()
-    error, sizes[0] = best.compute_mean_reprojection_error(), best.num_reg_images()
+    error = best.compute_mean_reprojection_error()
     return Structure(lens, poses, cloud(best), error, sizes, keypoints, matches, notes, is_in_metres)
 
 
@@ -238,40 +240,6 @@ def _check_focal_lengths(models: list[pycolmap.Reconstruction]) -> None:
             f"COLMAP finds focal lengths of {', '.join(f'{focal:.0f}' for focal in focals)} px, as no lens has, in "
             f"images {width} px wide: views in one direction on a flat field do not settle it; say it: --focal PX"
         )
-
-
-def add_models(largest: pycolmap.Reconstruction, *others: pycolmap.Reconstruction) -> list[str]:
-    """Add images, without points, of models that share images with the largest one; say what became of each.
-
-    A model is moved by the similarity that reprojects its points into the shared images.
-    """
-    notes = []
-    for other in others:
-        new = [image for key, image in other.images.items() if image.has_pose and not largest.exists_image(key)]
-        similarity = pycolmap.align_reconstructions_via_reprojections(other, largest) if new else None
-        if similarity is not None:
-            other.transform(similarity)
-            for image in new:
-                copy = pycolmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
-                largest.add_image_with_trivial_frame(copy, image.cam_from_world())
-            notes.append(f"{len(new)} images come from a smaller model, joined by the images that both hold")
-        elif new:
-            notes.append(f"{len(new)} images are of a smaller model, which shares too little with the largest one")
-    return notes
-
-
-def _refine(model: pycolmap.Reconstruction, database: Path, images: Path, folder: Path, options: SfmOptions) -> None:
-    """Triangulate the points of a joined model, refine all together, and write it."""
-    chosen = pipeline(options)
-    settings = pycolmap.BundleAdjustmentOptions(
-        print_summary=False,
-        refine_focal_length=chosen.ba_refine_focal_length and not options.is_of_exif,
-        refine_extra_params=chosen.ba_refine_extra_params,
-    )
-    settings.ceres.solver_options.num_threads = options.threads or -1
-    joined = pycolmap.triangulate_points(model, database, images, folder, options=chosen)
-    pycolmap.bundle_adjustment(joined, settings)
-    joined.write(folder)
 
 
 def counts(database: Path) -> tuple[Counter[str], Counter[str]]:

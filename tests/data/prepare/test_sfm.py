@@ -44,40 +44,6 @@ def pictures(folder, centres):
     return names
 
 
-@pytest.mark.slow
-def test_models_that_share_images_are_joined(tmp_path, monkeypatch):
-    """Two halves of a capture, mapped apart: joined, they are as good as the model of all; else the larger is kept.
-
-    A lens that is to be kept is, though the points would have another one fit.
-    """
-    centres = places(4, 3)
-    names = pictures(tmp_path / "camera", centres)
-    lens = CameraEntry(1, "SIMPLE_RADIAL", WIDTH, HEIGHT, (FOCAL, WIDTH / 2, HEIGHT / 2, 0.0))
-    options = SfmOptions("thermal", threads=1, calibration=(lens,))
-    halves = [names[:8], names[3:]]
-    monkeypatch.setattr(sfm, "_map", lambda *given: map_apart(halves, *given))
-    joined = reconstruct(tmp_path / "camera", names, Stages(tmp_path / "work"), options)
-    assert sorted(joined.poses) == names and joined.models == [12, 8] and joined.error_px < 0.2
-    assert tuple(joined.camera.params) == lens.params
-    assert joined.notes == ["3 images come from a smaller model, joined by the images that both hold"]
-    found = np.stack([-joined.poses[name][:3, :3].T @ joined.poses[name][:3, 3] for name in names])
-    similarity = pycolmap.estimate_sim3d(found, centres)
-    assert np.abs([similarity * one for one in found] - centres).max() < 0.05
-    halves[:] = [names[:6], names[7:]]
-    apart = reconstruct(tmp_path / "camera", names, Stages(tmp_path / "other"), options)
-    assert sorted(apart.poses) == names[:6] and apart.models == [6, 5]
-    assert apart.notes == ["5 images are of a smaller model, which shares too little with the largest one"]
-
-
-def map_apart(groups, database, images, folder, total, options):
-    for index, names in enumerate(groups):
-        settings = sfm.pipeline(options)
-        settings.image_names = names
-        (folder / str(index)).mkdir()
-        (model,) = pycolmap.incremental_mapping(database, images, folder / str(index), settings).values()
-        model.write(folder / str(index))
-
-
 def model_of(images, focal):
     """A model with a focal length, in px of images 1024 px wide."""
     settings = pycolmap.SyntheticDatasetOptions(num_rigs=1, num_frames_per_rig=images, num_points3D=20)
@@ -115,15 +81,21 @@ def test_a_focal_length_that_runs_away_from_that_of_the_files_is_not_taken(tmp_p
 
     def write_model(database, images, folder, total, options):
         refined.append(options.refine)
-        (folder / "0").mkdir()
-        model_of(3, 700 if options.refine else options.focal).write(folder / "0")
+        for name, size in (("0", 4), ("1", 3)):
+            model = model_of(size, 700 if options.refine else options.focal)
+            for image in model.images.values():
+                image.name = f"{name}{image.name}"
+            (folder / name).mkdir()
+            model.write(folder / name)
 
     monkeypatch.setattr(sfm, "_map", write_model)
     exif = SfmOptions("thermal", 1500, threads=1, refine=True, is_of_exif=True)
     found = reconstruct(tmp_path, names, Stages(tmp_path / "work"), exif)
     assert refined == [True, False] and found.camera.mean_focal_length() == 1500
     assert found.notes[0].startswith("that is kept: from there, the images lead to 700 px")
+    assert found.models == [4, 3] and len(found.poses) == 4 and all(name.startswith("0") for name in found.poses)
+    assert found.notes[1].startswith("3 images are of smaller models, in worlds of their own, and are left out")
     again = reconstruct(tmp_path, names, Stages(tmp_path / "work"), exif)
     assert again.notes == found.notes and len(refined) == 2
     asked = reconstruct(tmp_path, names, Stages(tmp_path / "asked"), replace(exif, is_of_exif=False))
-    assert asked.camera.mean_focal_length() == 700 and asked.notes == []
+    assert asked.camera.mean_focal_length() == 700 and len(asked.notes) == 1
