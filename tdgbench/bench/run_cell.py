@@ -19,6 +19,7 @@ from tdgbench.bench.options import check_names, check_options
 from tdgbench.bench.outcome import Outcome, Status, finished
 from tdgbench.bench.progress import CellProgress
 from tdgbench.cells.key import why_differs
+from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.cells.record import Record, readable_record
 from tdgbench.files import finish_replacement
 from tdgbench.priors import PriorUnavailableError
@@ -130,7 +131,9 @@ def _keep_failure(error: BaseException, run: CellRun | None) -> str:
         with ExitStack() as held:
             if not run.is_locked and not held.enter_context(cell_lock(run.experiment, run.folder)):
                 raise OSError("another process is running the cell")
-            stored.write_failure(run.folder, run.record, failure)
+            written = stored.write_failure(run.folder, run.record, failure)
+            if written and not isinstance(error, failures.EXPECTED_ERRORS):
+                message += f"; traceback: {run.folder / RECORD_FILE}"
     except Exception as unwritten:
         message += f" (its record could not be written: {unwritten})"
     return f"{phase}: {message}"

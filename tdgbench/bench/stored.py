@@ -14,23 +14,24 @@ from tdgbench.cells.record import Failure, Record, readable_record, record_files
 from tdgbench.files import put_in_place, whole_folder
 
 
-def write_failure(folder: Path, record: Record, failure: Failure) -> None:
+def write_failure(folder: Path, record: Record, failure: Failure) -> bool:
     """Replace the content of a cell's folder by the record of its failure; move a finished result to a hidden folder.
 
-    A finished result stays in its place if the environment failed and the key is unknown or that of the result. The
-    caller must hold the cell's lock.
+    A finished result stays in its place if the environment failed and the key is unknown or that of the result; returns
+    whether the record was written. The caller must hold the cell's lock.
     """
     record.status, record.failure = "failed", Failure(**as_json(asdict(failure)))
     existing = readable_record(folder)
     if existing is not None and existing.status == "ok":
         if failure.of_environment and record.key in ("", existing.key):
-            return
+            return False
         put_in_place(folder, hidden_folder(folder, existing.key))
     record.scores, record.train_scores, record.hashes, record.truth = {}, {}, {}, {}
     for name in ("config", "environment", "init_points", "prior"):
         setattr(record, name, as_json(getattr(record, name)))
     with whole_folder(folder) as part:
         record.write(part)
+    return True
 
 
 def restore(folder: Path, record: Record, existing: Record | None) -> bool:

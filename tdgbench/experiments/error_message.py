@@ -46,7 +46,7 @@ def _of_option(error: ConfigCompositionException, words: Sequence[str]) -> str:
         return ""
     option, group = str(error.__cause__.full_key), error.__cause__.parent_node
     place = option.rpartition(".")[0]
-    there = [f"{place}.{key}" for key in group] if place and isinstance(group, DictConfig) else []
+    there = [f"{place}.{key!s}" for key in group] if place and isinstance(group, DictConfig) else []
     typed = next((word for word in words if word.lstrip("+~").startswith((f"{option}=", f"{option}."))), option)
     return f"{typed}: is no option{belongs_to(option) or meant(option, there) or option_meant(option)} (`tdgbench --cfg job` shows all)"
 
