@@ -1,12 +1,9 @@
-// Without this script the page shows all pictures; with it, any two can be laid over one another, and seen large.
+// The file holds each picture once. This script copies them to where they are laid over one another, and opens them large.
 const copy = (image, other) => { image.src = other.src; image.alt = other.alt; };
 
 for (const view of document.querySelectorAll(".view")) {
-  const truth = view.querySelector(".truth"), renders = [...view.querySelectorAll(".render")];
-  const choices = [truth, ...renders].filter(Boolean);
-  for (const figure of view.querySelectorAll(".guess")) {
-    copy(figure.querySelector(".below"), renders[figure.dataset.render]);
-  }
+  const choices = [view.querySelector(".truth"), ...view.querySelectorAll(".render")];  // the truth is number 0
+  for (const image of view.querySelectorAll("img[data-copy]")) copy(image, choices[image.dataset.copy]);
   const box = view.querySelector(".choose");
   const sides = [...box.querySelectorAll("select")];
   const show = () => sides.forEach((side, i) => {

@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from tdgbench.cells.record import READ_PHASE, Record
+from tdgbench.cells.record import Record
 from tdgbench.files import write_text
 from tdgbench.present.html import environment
 from tdgbench.present.strip import place_name
@@ -29,10 +29,6 @@ from tdgbench.tables.results import Cell, Results
 from tdgbench.tables.verdicts import comparable, load_margins, verdicts_in_words
 
 FILE = "report.html"
-SOURCES = {  # of depth priors, in words
-    "points": "the sparse points, which come from RGB images: no evidence for a method of thermal images alone",
-    "truth": "true depth, with the errors of a monocular network",
-}
 
 
 def write_report(tables: Tables) -> Path:
@@ -46,13 +42,12 @@ def write_report(tables: Tables) -> Path:
     html = environment("tdgbench.report").get_template("report_page.html.j2").render(
         name=results.folder.resolve().name,
         findings=tables.findings,
-        facts=run_facts(results),
+        facts=run_facts(results.plan, [cell.record for cell in cells]),
         doubts=doubts_of(records),
         table=tables.grid,
         reasons=[] if tables.is_ablation else reasons_for_na(main, COLUMNS),
         further=None if tables.is_ablation else further_grid(main),
         further_reasons=[] if tables.is_ablation else reasons_for_na(main, EXTRA),
-        priors=depth_priors(records),
         legend=legend(tables),
         published=published_section(tables),
         changes=None if tables.effects is None else changes_as_text(tables.effects),
@@ -61,7 +56,6 @@ def write_report(tables: Tables) -> Path:
         skips=skipped_work([cell.record for cell in cells]),
         failures=[(cell_title(r), r.failure.phase, r.failure.error) for r in records if r.failure is not None],
         problems=results.problems,
-        environments=environments(records),
     )  # fmt: skip
     path = results.folder / FILE
     write_text(path, html)
@@ -107,53 +101,6 @@ def reasons_for_na(main: pd.DataFrame, metrics: Sequence[str]) -> list[str]:
         all_rows = len(group) == rows_of[:, metric].sum()
         found.setdefault(("all rows" if all_rows else named(who), str(reason)), []).append(MEASURES[str(metric)].label)
     return [f"n/a: {', '.join(labels)} ({names}): {reason}" for (names, reason), labels in found.items()]
-
-
-def environments(records: list[Record]) -> list[list[tuple[str, str]]]:
-    """Return the distinct machines and versions that the cells ran on; unreadable records say nothing of them."""
-    groups = []
-    for record in records:
-        if record.failure is not None and record.failure.phase == READ_PHASE:
-            continue
-        e = record.environment
-        packages = ", ".join(f"{name} {version}" for name, version in _entries(e, "packages") if version)
-        git = dict(_entries(e, "git"))
-        commit = str(git.get("commit", "not from a checkout")) + (" with changes" if git.get("dirty") else "")
-        rows = [
-            ("processor", f"{e.get('cpu')}, {e.get('cores')} cores, {e.get('threads')} threads"),
-            ("GPU", ", ".join(f"{name} {value}" for name, value in _entries(e, "gpu")) or "none"),
-            ("platform", f"{e.get('platform')}, Python {e.get('python')}"),
-            ("packages", packages),
-            ("commit", commit),
-            ("protocol", f"{record.protocol or 'n/a'}, metrics as {record.convention}"),
-        ]
-        if rows not in groups:
-            groups.append(rows)
-    return groups
-
-
-def _entries(environment: dict[str, Any], name: str) -> list[tuple[str, Any]]:
-    """Return the entries of a part of an environment; none where it is null or no object."""
-    part = environment.get(name)
-    return list(part.items()) if isinstance(part, dict) else []
-
-
-def depth_priors(records: Sequence[Record]) -> list[str]:
-    """Say what the finished cells took as depth priors: method, estimator, and what its maps are made from.
-
-    >>> prior = {"estimator": "marigold", "model": "prs-eth/marigold-depth-v1-1", "made_from": "thermal images"}
-    >>> depth_priors([Record("mine", "", "a", "", 0, "", "", prior=prior)])
-    ['mine: marigold (prs-eth/marigold-depth-v1-1), made from thermal images']
-    """
-    found = []
-    for record in records:
-        if record.prior is None or record.failure is not None:
-            continue
-        model, source = record.prior.get("model"), record.prior.get("made_from")
-        name = f"{record.prior.get('estimator', 'unknown')}{f' ({model})' if model else ''}"
-        made = f", made from {SOURCES.get(str(source), source)}" if source else ""
-        found.append(f"{methods.label(record.method)}: {name}{made}")
-    return list(dict.fromkeys(found))
 
 
 def legend(tables: Tables) -> list[dict[str, str]]:

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
-from tdgbench.cells.record import Record
+from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import READ_PHASE, Record
 from tdgbench.tables import methods
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.long_table import SPLITS, method_label, planned_iterations
-from tdgbench.tables.results import Results
 from tdgbench.text import MOST_NAMED
 
 Fact = Callable[[Record], str]
+SOURCES = {  # of depth priors, in words
+    "points": "the scene's sparse points: where these come from RGB images, no evidence for thermal images alone",
+    "truth": "true depth, with the errors of a monocular network",
+}
 NOT_STATED = "not stated by the version that ran it"
 
 
-def run_facts(results: Results) -> list[tuple[str, list[str]]]:
-    """Return titles and texts: one text where all cells agree, else one for each value, with the cells that have it."""
-    records = [cell.record for cell in results.finished]
-    commands = [f"{one.words} ({one.date})" for one in results.plan.commands]
+def run_facts(plan: Plan, records: Sequence[Record]) -> list[tuple[str, list[str]]]:
+    """Return titles and texts on finished cells: one text, or one for each value, with the cells that have it."""
+    commands = [f"{one.words} ({one.date})" for one in plan.commands]
     facts = {"budget": _budgets(records), "seeds": _seeds(records), **FACTS}
     return [
         ("commands" if len(commands) > 1 else "command", commands or [NOT_STATED]),
@@ -29,9 +33,9 @@ def run_facts(results: Results) -> list[tuple[str, list[str]]]:
 def said(fact: Fact, records: Sequence[Record]) -> list[str]:
     """Return what records say of a fact; with the methods, scenes or cells that say it, where not all agree.
 
-    >>> cells = [Record(method, "", "a", "", 0, "", "", backend=method[0]) for method in ("tdg", "msmg", "mcmc")]
+    >>> cells = [Record(name, "", "a", "colmap", 0, "", "", backend=name[0]) for name in ("tdg", "msmg", "mmone")]
     >>> said(lambda record: record.backend, cells)
-    ['t (TDg)', 'm (MSMG, 3DGS-MCMC)']
+    ['t (TDg)', 'm (MSMG, MMOne)']
     """
     groups: dict[str, list[Record]] = {}
     for record in records:
@@ -113,23 +117,42 @@ def _planned(record: Record) -> str:
 
 def _machine(record: Record) -> str:
     e = record.environment
-    gpu = e.get("gpu")
-    device = ", ".join(map(str, gpu.values())) if isinstance(gpu, dict) else "no GPU"
+    device = ", ".join(map(str, _part(record, "gpu").values())) or "no GPU"
     threads = f"{e.get('threads')} thread{'s' * (e.get('threads') != 1)} a cell"
     computer = f"{e.get('cpu') or NOT_STATED}, {e.get('cores')} cores"
     return f"{computer}, {threads}; {device}; backend {record.backend or 'n/a'}"
 
 
-def _commit(record: Record) -> str:
-    git = record.environment.get("git")
-    if not isinstance(git, dict) or not git.get("commit"):
-        return "not from a checkout"
-    return f"{str(git['commit'])[:12]}{' with uncommitted changes' * bool(git.get('dirty'))}"
-
-
 def _version(record: Record) -> str:
-    packages = record.environment.get("packages")
-    return f"tdgbench {packages.get('tdgbench') if isinstance(packages, dict) else NOT_STATED}"
+    git, packages = _part(record, "git"), _part(record, "packages")
+    commit = f"commit {str(git['commit'])[:12]}" if git.get("commit") else "not from a checkout"
+    return f"tdgbench {packages.get('tdgbench', NOT_STATED)}, {commit}{' with changes' * bool(git.get('dirty'))}"
+
+
+def _software(record: Record) -> str:
+    packages = [f"{name} {version}" for name, version in _part(record, "packages").items() if version]
+    e = record.environment
+    return ", ".join([str(e.get("platform", NOT_STATED)), f"Python {e.get('python', NOT_STATED)}", *packages])
+
+
+def _part(record: Record, name: str) -> dict[str, Any]:
+    """Return a part of a record's environment; empty where it is null or no object."""
+    part = record.environment.get(name)
+    return part if isinstance(part, dict) else {}
+
+
+def _prior(record: Record) -> str:
+    """Say what was taken as depth prior: estimator, and what its maps are made from.
+
+    >>> prior = {"estimator": "marigold", "model": "prs-eth/marigold-depth-v1-1", "made_from": "thermal images"}
+    >>> _prior(Record("mine", "", "a", "", 0, "", "", prior=prior))
+    'marigold (prs-eth/marigold-depth-v1-1), made from thermal images'
+    """
+    if record.prior is None:
+        return "none"
+    model, source = record.prior.get("model"), record.prior.get("made_from")
+    made = f", made from {SOURCES.get(str(source), source)}" if source else ""
+    return f"{record.prior.get('estimator', 'unknown')}{f' ({model})' if model else ''}{made}"
 
 
 def _views(record: Record) -> str:
@@ -143,11 +166,20 @@ def _lpips(record: Record) -> str:
 
 
 FACTS: dict[str, Fact] = {
-    "version": lambda record: f"{_version(record)}, commit {_commit(record)}",
-    "machine": _machine,
     "image sizes": lambda record: record.assumed.get("size", NOT_STATED),
     "views": _views,
     "initial points": lambda record: f"{record.init}: {record.init_points.get('how', NOT_STATED)}",
+    "depth prior": _prior,
     "LPIPS network": _lpips,
     "protocol": lambda record: f"{record.protocol or 'n/a'}, metrics as {record.convention or 'n/a'}",
+    "version": _version,
+    "machine": _machine,
+    "software": _software,
 }
+OF_MACHINE = ("version", "machine", "software", "protocol")
+
+
+def environments(records: Sequence[Record]) -> list[tuple[tuple[str, str], ...]]:
+    """Return the distinct machines and versions that cells ran on; unreadable records say nothing of them."""
+    known = [record for record in records if record.failure is None or record.failure.phase != READ_PHASE]
+    return list(dict.fromkeys(tuple((title, FACTS[title](record)) for title in OF_MACHINE) for record in known))

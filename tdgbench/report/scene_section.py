@@ -150,8 +150,6 @@ def _tables(scale: ColourScale, is_gray: bool) -> dict[str, list[str]]:
 
 
 def _pictures(one: ShownCell, near: float, far: float) -> dict[str, Any]:
-    truth, render, _ = one.pictures
-    difference = np.abs(render.astype(float) - truth).mean(axis=2, keepdims=True)
     guesses = barely = ""
     if one.determinacy is not None:
         blue = np.broadcast_to(np.array(GUESSED, np.uint8), (*one.determinacy.shape, 3))
@@ -160,8 +158,7 @@ def _pictures(one: ShownCell, near: float, far: float) -> dict[str, Any]:
     return {
         "label": one.label,
         "psnr": MEASURES["psnr"].as_text(one.psnr),
-        "render": embedded(render),
-        "error": embedded((difference + 0.5).astype(np.uint8)),
+        "render": embedded(one.pictures.render),
         "depth": "" if one.depth is None else embedded(colored(one.depth, DEPTH, near, far)),
         "guesses": guesses,
         "barely_seen": barely or "n/a",

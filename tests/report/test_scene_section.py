@@ -30,7 +30,6 @@ def test_a_scene_shows_the_middle_view_of_every_method_on_one_scale(small_result
         stored = cell.pictures(view)
         assert np.array_equal(shown(group["truth"]), stored.truth[..., 0])
         assert np.array_equal(shown(method["render"]), stored.render[..., 0])
-        assert np.array_equal(shown(method["error"]), np.abs(stored.render.astype(int) - stored.truth)[..., 0])
     errors = np.concatenate([cell.pictures(view).error.ravel() for cell in cells])
     assert (errors <= group["scale"].error * 1.05).mean() >= 0.95  # few are beyond the end of the scale
 
