@@ -1,4 +1,4 @@
-"""The trainings that README and tutorial show have options that exist."""
+"""The trainings that README, tutorial and commands page show have options that exist."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from tdgbench.tools import TOOLS
 from tests.helpers.configs import config
 from tests.helpers.paths import ROOT
 
-COMMAND = re.compile(r"^(?:\| `)?tdgbench ((?:-m )?[^`\n]*=[^`\n]*)", re.MULTILINE)
-PAGES = ("README.md", "docs/tutorial.md")
-COMMANDS = {line for page in PAGES for line in COMMAND.findall((ROOT / page).read_text("utf-8"))}
+COMMAND = re.compile(r"^(?:\| `)?tdgbench ((?:-m )?[^-`\n][^`\n]*=[^`\n]*)", re.MULTILINE)
+PAGES = ("README.md", "docs/tutorial.md", "docs/commands.md")
+TEXT = "\n".join((ROOT / page).read_text("utf-8") for page in PAGES).replace("\\\n", "")
+COMMANDS = set(COMMAND.findall(TEXT))
 TRAININGS = sorted(line for line in COMMANDS if line.split()[0] not in TOOLS)
 
 
