@@ -6,11 +6,15 @@ import io
 import os
 import sys
 from collections.abc import Callable
-from typing import Any, TextIO, cast
+from functools import wraps
+from typing import Any, ParamSpec, TextIO, cast
 
 from rich.console import Console
 from rich.text import Text
 
+from tdgbench.text import one_line
+
+Arguments = ParamSpec("Arguments")
 UNPRINTABLE = "backslashreplace"  # how characters outside of the stream's encoding are printed
 LONGEST = 10_000  # characters of a message; the help has some 4 000
 UNLIMITED = 1_000_000  # width, in characters, where there is no terminal: tables are as wide as their content
@@ -37,6 +41,23 @@ def say(text: str, label: str = "", style: str = "red", stderr: bool = False) ->
         text = f"{text[:LONGEST]}… ({len(text) - LONGEST:,} more characters)"
     line = Text.assemble((label, style), " " if label else "", printable(text))
     console(stderr).print(line, highlight=False, soft_wrap=True)
+
+
+def errors_in_one_line(tool: str, status: int = 1) -> Callable[[Callable[Arguments, int]], Callable[Arguments, int]]:
+    """Return a decorator: what a tool's function raises for what it cannot read is one line, and this exit status."""
+
+    def decorate(function: Callable[Arguments, int]) -> Callable[Arguments, int]:
+        @wraps(function)
+        def run(*arguments: Arguments.args, **options: Arguments.kwargs) -> int:
+            try:
+                return function(*arguments, **options)
+            except (ValueError, OSError) as error:
+                say(one_line(f"tdgbench {tool}: {error}"), stderr=True)
+                return status
+
+        return run
+
+    return decorate
 
 
 def printable(text: str) -> str:

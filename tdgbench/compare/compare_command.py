@@ -31,13 +31,14 @@ from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_dif
 from tdgbench.tables.measures import MEASURES
 from tdgbench.tables.results import Cell, read_results
 from tdgbench.tables.verdicts import UNDECIDED
-from tdgbench.terminal import console, say
+from tdgbench.terminal import console, errors_in_one_line, say
 from tdgbench.text import one_line
 
 MOST_CAUSES = 12  # of a kind, on the terminal
 OF_TIMES = ("cpu", "cores", "threads", "simd_lanes", "gpu")  # fields of a record's environment that decide times
 
 
+@errors_in_one_line("compare", status=2)
 def main(arguments: list[str]) -> int:
     """Run the tool; return the exit status: 0 if no verdict is `better` or `worse` and the protocol is one, else 1."""
     parser = argparse.ArgumentParser(
@@ -48,12 +49,8 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("b", type=Path, metavar="B", help="another one")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.csv and compare.html there")
     options = parser.parse_args(arguments)
-    try:
-        with opened_pack(options.a) as a, opened_pack(options.b) as b:
-            return _compare(a, b, options.out)
-    except (ValueError, OSError) as error:
-        say(one_line(f"tdgbench compare: {error}"), stderr=True)
-        return 2
+    with opened_pack(options.a) as a, opened_pack(options.b) as b:
+        return _compare(a, b, options.out)
 
 
 def _compare(a: Path, b: Path, out: Path | None) -> int:

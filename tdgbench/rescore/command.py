@@ -28,10 +28,11 @@ from tdgbench.rescore.cell import score_cell
 from tdgbench.resources import conf_folder
 from tdgbench.scoring import Scorer
 from tdgbench.tables.show import show_findings
-from tdgbench.terminal import say
+from tdgbench.terminal import errors_in_one_line, say
 from tdgbench.text import one_line
 
 
+@errors_in_one_line("score")
 def main(arguments: list[str]) -> int:
     """Run the tool; return the exit status: 1 if a cell could not be scored, or nothing could be."""
     parser = argparse.ArgumentParser(
@@ -44,16 +45,12 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("out", type=Path, metavar="OUT", help="results folder of the scores: new, or of an earlier run")
     parser.add_argument("options", nargs="*", metavar="OPTION", help="metrics=CHOICE, metrics.OPTION=VALUE")
     add_trust_arguments(parser)
-    given = parser.parse_args(arguments)
-    try:
-        trust(given.config_dir, given.trust)
-        with opened_pack(given.experiment) as experiment:
-            failed = score_experiment(experiment, given.out, given.options)
-        show_findings(write_all(given.out))
-        say("not compared: the ground truth is what the cells hold; tdgbench verify compares it", "data:")
-    except (ValueError, OSError) as error:
-        say(one_line(f"tdgbench score: {error}"), stderr=True)
-        return 1
+    given = parser.parse_intermixed_args(arguments)
+    trust(given.config_dir, given.trust)
+    with opened_pack(given.experiment) as experiment:
+        failed = score_experiment(experiment, given.out, given.options)
+    show_findings(write_all(given.out))
+    say("not compared: the ground truth is what the cells hold; tdgbench verify compares it", "data:")
     return int(failed)
 
 

@@ -11,8 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tdgbench.cells.known_classes import add_trust_arguments, trust
-from tdgbench.terminal import say
-from tdgbench.text import one_line
+from tdgbench.terminal import errors_in_one_line, say
 from tdgbench.view.cells import open_cell, open_cells
 from tdgbench.view.export import MAX_MB, export
 from tdgbench.view.follow import Follower
@@ -21,6 +20,7 @@ WIDTH = 1280  # px
 LOCAL = "127.0.0.1"
 
 
+@errors_in_one_line("view")
 def main(arguments: list[str]) -> int:
     """Show cells until Ctrl-C; return the exit status 1 if they cannot be shown."""
     description = "Look at the models of one or more cells of a scene in the browser."
@@ -40,17 +40,13 @@ def main(arguments: list[str]) -> int:
     )
     add_trust_arguments(parser)
     options = parser.parse_args(arguments)
-    try:
-        trust(options.config_dir, options.trust)
-        if len(options.cell) > 1 and (options.export or options.follow):
-            raise ValueError(f"--{'export' if options.export else 'follow'} takes one folder, not {len(options.cell)}")
-        if options.export:
-            say(export(open_cell(options.cell[0]), options.export, options.max_mb))
-            return 0
-        return _show(options)
-    except (ValueError, OSError) as error:
-        say(one_line(f"tdgbench view: {error}"), stderr=True)
-        return 1
+    trust(options.config_dir, options.trust)
+    if len(options.cell) > 1 and (options.export or options.follow):
+        raise ValueError(f"--{'export' if options.export else 'follow'} takes one folder, not {len(options.cell)}")
+    if options.export:
+        say(export(open_cell(options.cell[0]), options.export, options.max_mb))
+        return 0
+    return _show(options)
 
 
 def _show(options: argparse.Namespace) -> int:
