@@ -61,7 +61,7 @@ def describe_training(record: Record, ready: Training, log: TrainingLog, skips: 
     curricula = [(one, it.budget.iterations) for it in trainer.contexts for one in it.curricula.values()]
     budget, method = trainer.whole_context.budget, trainer.method
     on_rgb = "rgb" in method.modalities
-    finished = Finished(scene, method.name, on_rgb, budget.iterations, log.iterations, curricula, work)
+    finished = Finished(scene, on_rgb, budget.iterations, log.iterations, curricula, work)
     record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(skips, finished, budget.accounts)]
 
 

@@ -131,7 +131,7 @@ def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
     if "rgb" in method.modalities:
         return (scene.train if method.trains else []) + [view for view in scene.test if view.load_rgb is not None]
     available = [view for view in scene.train if view.load_rgb is not None]
-    reason = f"{method.name} trains on thermal images alone"
+    reason = "the method trains on thermal images alone"
     return [] if skips.rgb.decide(bool(available), reason, f"{len(available)} images") else available
 
 

@@ -98,9 +98,9 @@ def reasons_for_na(main: pd.DataFrame, metrics: Sequence[str]) -> list[str]:
             name = methods.label(str(method))
             is_whole = len(rows) == rows_of[method, metric]
             who += [name] if is_whole else [f"{name} on {LABELS.get(scene, scene)}" for scene in rows["scene"]]
-        all_rows = len(group) == rows_of[:, metric].sum()
-        found.setdefault(("all rows" if all_rows else named(who), str(reason)), []).append(MEASURES[str(metric)].label)
-    return [f"n/a: {', '.join(labels)} ({names}): {reason}" for (names, reason), labels in found.items()]
+        names = "all rows" if len(group) == rows_of[:, metric].sum() else named(who)
+        found.setdefault((names, str(reason)), []).append(MEASURES[str(metric)].title.rstrip(" ↑↓"))
+    return [f"n/a: {'; '.join(titles)} ({names}): {reason}" for (names, reason), titles in found.items()]
 
 
 def legend(tables: Tables) -> list[dict[str, str]]:

@@ -105,7 +105,6 @@ class Finished(NamedTuple):
     """A training that is over."""
 
     scene: Scene
-    method: str  # its name
     trains_on_rgb: bool
     planned: int  # iterations of the budget
     iterations: int  # trained
@@ -144,29 +143,40 @@ def account(skips: Skips, training: Finished, accounts: Mapping[str, Account | N
 
 
 def _account_switches(skips: Skips, training: Finished) -> None:
-    scene, method = training.scene, training.method
+    scene = training.scene
     gray = scene.channels == 1
     images = f"all {len(scene.train) + len(scene.test)} thermal images are gray"
     skips.gray.decide(gray, images if gray else "the thermal images are coloured", "2 of 3 channels")
     if not skips.rgb.reason:
-        skips.rgb.decide(False, f"{method} trains on RGB images" if training.trains_on_rgb else "there are none")
+        skips.rgb.decide(False, "the method trains on RGB images" if training.trains_on_rgb else "there are none")
     if not skips.prior.reason:
-        skips.prior.decide(False, f"{method} uses no prior")
+        skips.prior.decide(False, "the method uses no prior")
     if not skips.depth.reason:
-        skips.depth.decide(False, f"{method} has no depth loss")
+        skips.depth.decide(False, "the method has no depth loss")
     elif skips.depth.taken:
         trained = training.iterations
         without = max(0, trained - skips.depth_until)
         needed = f"training ended after {trained} iterations, all of which need depth"
         skips.depth.decide(without > 0, skips.depth.reason if without else needed, _without_depth(without, trained))
     rows, touched = summed(training.work, "rows"), summed(training.work, "touched")
-    share = touched / max(rows, 1)
-    reason = f"a step touched {share:.0%} of the Gaussians"
-    skips.unseen.decide(touched < rows, reason, f"{1 - share:.0%} of the rows")
+    shown = touched / max(rows, 1)
+    reason = f"a view shows {in_percent(shown)} of the Gaussians on average"
+    skips.unseen.decide(touched < rows, reason, f"steps of {in_percent(1 - shown)} of the Gaussians")
     pairs, blended = summed(training.work, "pairs"), summed(training.work, "blended")
-    share = blended / max(pairs, 1)
-    reason = f"{share:.1%} of the pairs came before their tile's end" if pairs else "the backend does not tell"
-    skips.saturated.decide(blended < pairs, reason, f"{1 - share:.1%} of the pairs")
+    reason = "all pixels of some tiles were opaque before their last Gaussians"
+    if blended == pairs:
+        reason = "no tile was opaque before its last Gaussian" if pairs else "the backend does not tell"
+    left_out = in_percent(1 - blended / max(pairs, 1))
+    skips.saturated.decide(blended < pairs, reason, f"blending of {left_out} of the tiles' Gaussians")
+
+
+def in_percent(share: float) -> str:
+    """Return a share in words, without claiming none or all where it is not.
+
+    >>> in_percent(0.654), in_percent(0.0031), in_percent(1e-5), in_percent(0.0)
+    ('65 %', '0.3 %', 'less than 0.1 %', '0.0 %')
+    """
+    return "less than 0.1 %" if 0 < share < 0.0005 else f"{100 * share:.{0 if share >= 0.1 else 1}f} %"
 
 
 def summed(work: Iterable[Work], name: str) -> int:

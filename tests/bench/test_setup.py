@@ -58,4 +58,4 @@ def test_an_observer_sees_phases_and_facts(data_root, tmp_path):
         ("init_points", "colmap"),
     ]
     assert not first.prior.taken and again.prior.saved == f"{len(scene.train)} estimates"
-    assert again.rgb.taken and again.rgb.reason == "tdg trains on thermal images alone"
+    assert again.rgb.taken and again.rgb.reason == "the method trains on thermal images alone"

@@ -124,7 +124,7 @@ def test_why_numbers_are_not_there_is_printed(tmp_path):
         write(tmp_path, "msmg", scene, "synthetic", scores={"lpips": 0.2, "psnr": 20.0 if scene == "night" else None},
               missing={"psnr": "it is infinite"})  # fmt: skip
     texts = HtmlPage(write_report(build_tables(tmp_path)).read_text()).texts
-    assert "n/a: PSNR (MSMG on orbit, MSMG on Average): it is infinite" in texts
+    assert "n/a: PSNR, dB (MSMG on orbit, MSMG on Average): it is infinite" in texts
     (line,) = (text for text in texts if "LPIPS" in text and text.startswith("n/a"))
     assert line.startswith("n/a: LPIPS (TDg): ") and line.endswith("backbone of .../vgg16.pth is missing")
 

@@ -64,7 +64,7 @@ def accounted(trainer, log) -> dict[str, Skip]:
     curricula = [(one, context.budget.iterations) for context in trainer.contexts for one in context.curricula.values()]
     on_rgb = "rgb" in method.modalities
     budget = whole.budget
-    finished = Finished(whole.scene, method.name, on_rgb, budget.iterations, log.iterations, curricula, work)
+    finished = Finished(whole.scene, on_rgb, budget.iterations, log.iterations, curricula, work)
     return {skip.name: skip for skip in account(whole.skips, finished, budget.accounts)}
 
 
@@ -78,9 +78,10 @@ def test_reasons_and_savings(small_gray_scene, small_scene):
     assert list(gray) == [*SWITCHES, *SKIP_RULES]
     assert gray["gray"].taken and gray["gray"].saved == "2 of 3 channels"
     assert not after(small_scene)["gray"].taken
-    assert gray["unseen"].taken and "% of the rows" in gray["unseen"].saved
+    assert gray["unseen"].taken and gray["unseen"].saved.startswith("steps of ")
+    assert gray["saturated"].taken == ("blending of" in gray["saturated"].saved)
     assert gray["plateau"].reason == "the loss went on falling" and not gray["plateau"].taken
-    assert gray["depth"].reason == "3dgs has no depth loss" and gray["prior"].reason == "3dgs uses no prior"
+    assert gray["depth"].reason == "the method has no depth loss" and gray["prior"].reason == "the method uses no prior"
     assert all(skip.reason for skip in gray.values())
     tdg = after(small_gray_scene, "tdg")
     assert tdg["depth"].taken and tdg["depth"].saved == "depth and its loss in 16 of 30 iterations"
