@@ -1,7 +1,8 @@
 """`+experiment=capacity`: methods at equal numbers of Gaussians, and what each has reached after equal times.
 
 The number is that of the set of Gaussians that renders thermal images: of MSMG its thermal model, beside which its RGB
-model has as many again (`Budget.gaussians`). Times are of trainings whose number is free.
+model has as many again (`Budget.gaussians`). Trainings are as long as their budgets say, which tables show. Times are of
+trainings whose number is free; test views choose the best scores, so that no training could know them.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ EVERY_SCENE = "all scenes"
 UNEQUAL = "n/a: unequal numbers"
 _SHOWN = {
     "scene": ("scene", "{}"), "gaussians": ("asked for", "{:,.0f}"), "run": ("run", "{}"), "had": ("Gaussians", "{}"),
+    "iterations": ("iterations", "{}"), "processor_seconds": ("processor s", "{:.0f}"),
     "seeds": ("seeds", "{}"), "psnr": ("PSNR, dB", "{:.2f}"), "psnr_half": ("±", "{:.2f}"),
     "psnr_gain": ("{} better by, dB", "{:+.2f}"), "psnr_gain_half": (" ±", "{:.2f}"), "verdict": ("so {}", "{}"),
 }  # fmt: skip
