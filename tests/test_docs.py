@@ -108,9 +108,10 @@ def without_an_option(names: set[str]) -> set[str]:
         path for folder in ("dataset", "prior", "method", "experiment") for path in (ROOT / "conf" / folder).glob("*")
     ]
     for path in [None, *sorted(files)]:
+        parts = "|".join(part for name in left for part in name.split(".")[1:])
         if path is None:
             cfg = config()
-        elif any(re.search(rf"\b{name.split('.')[-1]}:", path.read_text(encoding="utf-8")) for name in left):
+        elif re.search(rf"\b({parts}):", path.read_text(encoding="utf-8")):
             cfg = config(f"{'+' * (path.parent.name == 'experiment')}{path.parent.name}={path.stem}")
         else:
             continue
