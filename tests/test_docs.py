@@ -111,7 +111,7 @@ def without_an_option(names: set[str]) -> set[str]:
         parts = "|".join(part for name in left for part in name.split(".")[1:])
         if path is None:
             cfg = config()
-        elif re.search(rf"\b({parts}):", path.read_text(encoding="utf-8")):
+        elif parts and re.search(rf"\b({parts}):", path.read_text(encoding="utf-8")):
             cfg = config(f"{'+' * (path.parent.name == 'experiment')}{path.parent.name}={path.stem}")
         else:
             continue
