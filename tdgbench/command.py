@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import islice
 
 import hydra
+from hydra._internal.utils import get_args_parser
 from omegaconf import DictConfig
 
 from tdgbench import __version__
+from tdgbench.bench.commit import commit_in_words
 from tdgbench.resources import conf_folder, import_from_working_folder
 from tdgbench.terminal import console, say
 from tdgbench.tools import TOOLS
@@ -37,7 +40,7 @@ def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
     if {"--help", "-h"} & set(words):
         say(usage())
     elif "--version" in words:
-        say(f"tdgbench {__version__}")
+        say(f"tdgbench {__version__} ({commit_in_words()})")
     else:
         if console(stderr=True).is_terminal:
             say(f"tdgbench {__version__}: loading", stderr=True)  # a person would wait seconds for the first line
@@ -45,7 +48,7 @@ def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
 
         on_loaded()
         import_from_working_folder()
-        sys.argv[1:] = words or [DEMO]  # where Hydra reads them
+        sys.argv[1:] = flags_first(words) or [DEMO]  # where Hydra reads them
         before = os.environ.get(FULL_ERROR)
         os.environ[FULL_ERROR] = "1"
         try:
@@ -54,6 +57,22 @@ def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
             if before is None:
                 del os.environ[FULL_ERROR]
     return 0
+
+
+def flags_first(words: Iterable[str]) -> list[str]:
+    """Return the words with Hydra's flags and their values before overrides, among which Hydra takes no flags.
+
+    >>> flags_first(["name=x", "-m", "method=a,b", "--config-dir", "mine"])
+    ['-m', '--config-dir', 'mine', 'name=x', 'method=a,b']
+    """
+    with_value = {flag for one in get_args_parser()._actions if one.nargs is None for flag in one.option_strings}
+    flags, overrides, rest = [], [], iter(words)
+    for word in rest:
+        if word.startswith("-"):
+            flags += [word, *(islice(rest, 1) if word in with_value else ())]
+        else:
+            overrides.append(word)
+    return flags + overrides
 
 
 @hydra.main(config_path=str(conf_folder()), config_name="config", version_base="1.3")

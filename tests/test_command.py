@@ -30,6 +30,13 @@ def test_every_tool_explains_itself(name, capsys):
     assert stop.value.code == 0 and capsys.readouterr().out.startswith(f"usage: tdgbench {name} ")
 
 
+@pytest.mark.parametrize("words", [["tables", "a", "--columns", "psnr", "b"], ["verify", "a", "--data", "c", "b"]])
+def test_flags_of_tools_stand_anywhere(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert command.run(words) == 1
+    assert "a is not there" in (said := "".join(capsys.readouterr())) and "b is not there" in said
+
+
 def test_help_fits_on_a_screen_and_names_everything():
     lines = usage().splitlines()
     assert len(lines) <= 45

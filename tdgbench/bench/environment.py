@@ -5,33 +5,20 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import subprocess
 import sys
 import sysconfig
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+from tdgbench.bench.commit import HASHED, ROOT, git_state
 from tdgbench.bench.machine import describe_gpu, proc_field
-from tdgbench.resources import PACKAGE
 from tdgbench.splats.backends.backend import installed_version
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.simd.registers import LANES
 
-ROOT = PACKAGE.parent  # of a checkout, or the folder that an installed wheel was unpacked into
 PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "pycolmap", "lpips", "hydra-core", "gsplat", "warp-lang")
 SAME_BYTES = ("python", "packages", "platform", "cpu", "simd_lanes", "gpu")  # decide a training's bytes; threads do not
-HASHED = (  # folders and files
-    "tdgbench/scenes",
-    "tdgbench/priors",
-    "tdgbench/splats",
-    "tdgbench/training",
-    "tdgbench/scoring",
-    "tdgbench/thermal",
-    "tdgbench/bench/init",
-    "tdgbench/bench/setup.py",
-    "methods",
-)
 
 
 def describe_environment() -> dict[str, object]:
@@ -80,23 +67,6 @@ def _plug_in_files(config: object) -> Iterator[Path]:
 
 
 @cache
-def git_state() -> dict[str, object] | None:
-    """Return commit, and whether the working tree differs from it; None outside a git checkout of this project."""
-    if not (ROOT / ".git").exists():  # an installed wheel may lie inside another project's checkout
-        return None
-    try:
-        commit = _git("rev-parse", "HEAD")
-        return {"commit": commit, "dirty": bool(_git("status", "--porcelain", "--", *HASHED, "conf", "paper_tables"))}
-    except (OSError, subprocess.SubprocessError):
-        return None
-
-
-@cache
 def cpu_model() -> str:
     """Return the name of the processor, as precise as the platform gives it."""
     return proc_field(Path("/proc/cpuinfo"), "model name") or platform.processor() or platform.machine()
-
-
-def _git(*arguments: str) -> str:
-    command = ["git", "-C", str(ROOT), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout.strip()

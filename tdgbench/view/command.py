@@ -39,7 +39,7 @@ def main(arguments: list[str]) -> int:
         "--max-mb", metavar="N", type=_whole_number(1, 150), default=MAX_MB, help=f"its largest size ({MAX_MB})"
     )
     add_trust_arguments(parser)
-    options = parser.parse_args(arguments)
+    options = parser.parse_intermixed_args(arguments)
     trust(options.config_dir, options.trust)
     if len(options.cell) > 1 and (options.export or options.follow):
         raise ValueError(f"--{'export' if options.export else 'follow'} takes one folder, not {len(options.cell)}")
