@@ -42,7 +42,7 @@ DOORS = {
     "tdgbench/data/prepare/capture.py": {"np.load": OURS},
     "tdgbench/data/prepare/known_poses.py": {"pycolmap.Reconstruction": OURS, "pycolmap.Database.open": OURS},
     "tdgbench/data/prepare/prepare.py": {"(place / 'capture.json').read_bytes": OURS},
-    "tdgbench/data/prepare/sfm.py": {"pycolmap.Reconstruction": OURS, "pycolmap.Database.open": OURS},
+    "tdgbench/data/prepare/sfm.py": {"pycolmap.Database.open": OURS},
     "tdgbench/experiments/error_time.py": {"instantiate": CHOSEN},
     "tdgbench/experiments/experiment.py": {"instantiate": CHOSEN, "get_class": CHOSEN},
     "tdgbench/experiments/prior_accuracy.py": {"instantiate": CHOSEN},

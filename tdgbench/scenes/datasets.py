@@ -119,7 +119,7 @@ class RegisteredDataset(Outlines):
         for key in dict.fromkeys(self._registered(name).dataset for name in names):
             missing = [name for name in names if self._registered(name).dataset == key]
             lines.append(f"  {self.root / registry.DATASETS[key]}/: {', '.join(missing)}")
-            lines.append(f"    tdgbench data get {key} {shlex.quote(str(self.root))}   ({registry.PUBLISHED_AT[key]})")
+            lines.append(f"    tdgbench data get {key} {shlex.quote(str(self.root))}")
             lines.append(f"    layout: <scene>/ with {LAYOUTS[key].looks}")
         nowhere = "" if is_there(self.root) else f"{self.root} does not exist; "
         lines.append(f"  {nowhere}elsewhere: data.root=DIR; other layouts: docs/data.md")

@@ -16,10 +16,6 @@ GROUPS = {
     "forward": "Forward-facing scenes",
 }
 DATASETS = {"rgbt_scenes": "RGBT-Scenes", "thermalmix": "ThermalMix"}
-PUBLISHED_AT = {
-    "rgbt_scenes": "the ThermalGaussian project page (Lu et al. 2024), data set RGBT-Scenes",
-    "thermalmix": "Zenodo record 11065834 (Özer et al. 2024), data set ThermalMix",
-}
 FLIR_E6_PRO = (  # of the ten scenes of RGBT-Scenes; what its extension (GlassCup, DarkScenes) was taken with is unknown
     "240×180 px (FLIR E6 PRO); shown images as shipped are enlarged to 640×480 px by FLIR Thermal Studio, say their "
     "authors (github.com/chen-hangyu/Thermal-Gaussian-main, issue 5)"

@@ -14,7 +14,11 @@ def test_registered_scenes(folder, tmp_path):
     assert dataset.missing(["Hand", "Face", "Truck"]) == ["Face", "Truck"]
     with pytest.raises(MissingScenesError) as error:
         dataset.load("Face")
-    assert "ThermalMix" in str(error.value) and "Zenodo" in str(error.value) and "sparse/0" in str(error.value)
+    assert (
+        "ThermalMix" in str(error.value)
+        and "data get thermalmix" in str(error.value)
+        and "sparse/0" in str(error.value)
+    )
     with pytest.raises(SceneError, match="use dataset=thermalmix"):
         RegisteredDataset(str(tmp_path), ReadOptions(), "rgbt_scenes").load("Hand")
 

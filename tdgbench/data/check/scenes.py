@@ -102,7 +102,7 @@ def check_scenes(place: Place, begin: Callable[[str], None]) -> Iterator[SceneCh
         remedy = ""
         if place.is_paper:
             key = registry.registered(name).dataset
-            remedy = f": tdgbench data get {key} {shlex.quote(str(place.root))} (or {registry.PUBLISHED_AT[key]})"
+            remedy = f": tdgbench data get {key} {shlex.quote(str(place.root))}"
         yield SceneCheck(name, place.dataset.describe(name).dataset, "missing", problems=[f"not there{remedy}"])
 
 

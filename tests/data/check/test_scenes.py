@@ -55,7 +55,7 @@ def test_the_folder_of_a_data_set(tmp_path, small_gray_scene, monkeypatch):
     assert checked(tmp_path)[1]["Lion"].status == "ok"
     monkeypatch.chdir(tmp_path / "thermalmix")
     _, checks, begun = checked(Path())
-    assert begun == ["Lion"] and f"data get thermalmix {tmp_path} (" in checks["Pan"].problems[0]
+    assert begun == ["Lion"] and checks["Pan"].problems[0].endswith(f"data get thermalmix {tmp_path}")
 
 
 def test_other_data_sets_in_a_data_root(tmp_path, small_gray_scene):
