@@ -66,7 +66,7 @@ def error_panel(
     step = (span[1] - span[0]) / 255
     levels = np.arange(-255, 256)
     widest = max(_within(counts, levels, 0.995) for counts in errors.values())
-    per_bin = max(1, -(-(2 * widest + 1) // BINS))
+    per_bin = -(-(2 * widest + 1) // BINS) // 2 * 2 + 1  # odd, so that all bins hold equally many levels
     figure, axes = _panel("errors, share of the pixels (log)", "render − ground truth, °C")
     rows = []
     for (label, counts), colour in zip(errors.items(), colours, strict=True):
@@ -78,7 +78,7 @@ def error_panel(
         mean = float((counts * levels).sum() / counts.sum() * step)
         digits = max(0, int(np.ceil(-np.log10(max(step, 1e-9)))))
         within = (f"{_within(counts, levels, share) * step:.{digits}f}" for share in SHARES)
-        rows.append([label, *within, f"{mean:+.{digits + 1}f}"])
+        rows.append([label, *within, f"{round(mean, digits + 1) + 0.0:+.{digits + 1}f}"])
     axes.set_yscale("log")
     heads = ["method", *(f"{100 * share:.0f} % within ±, °C" for share in SHARES), "mean, °C"]
     return {"svg": _as_svg(figure, axes), "heads": heads, "rows": rows, "step": f"{step:.1g} °C"}
