@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     say(f"{source.folder} ({source.paper}): {source.page}")
     if arguments.list:
         say(source.holds)
-        say(f"the address, when last known of: {source.known}")
+        say(f"state of the address: {source.known}")
     try:
         published = list_files(source, arguments.zenodo)
         packages, others = packages_of(source, published.files, arguments.scene)
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     except GetError as error:
         raise GetError(
             f"{error}; or open {source.page} in a browser and unpack its scenes to {folder}/<Scene>; if the page is "
-            f"gone (last known: {source.known}), ask its authors ({source.authors})"
+            f"gone (last known state: {source.known}), ask its authors ({source.authors})"
         ) from error
     there = scene_folders(source, folder)
     for package in packages:

@@ -61,7 +61,7 @@ class PublishedDataset:
         return next(known, folder)
 
 
-BY_ZENODO = "licence: as the record states, which --list shows"
+BY_ZENODO = "licence: as the record states"
 SOURCES = {
     source.dataset: source
     for source in (
@@ -75,7 +75,7 @@ SOURCES = {
         PublishedDataset(
             "rgbt_scenes", DATASETS["rgbt_scenes"], "Lu et al. 2024",
             f"{DRIVE}/drive/folders/1xuPwqezNW_LSB5C-H8TQFJ7nLoSS2BOg", "github.com/chen-hangyu/Thermal-Gaussian-main",
-            "24 November 2025: readers report that it is gone (404)",
+            "24 November 2025: readers report that it is gone (404); `data get sear` has the captures, with other cameras",
             "10 scenes, 7 of them the paper's, and an extension with GlassCup and DarkScenes; licence: not known here",
         ),
         # Schindler-EPFL-Lab/thermo-nerf, README.md, 08d9be9
@@ -87,8 +87,8 @@ SOURCES = {
         # Schindler-EPFL-Lab/SEAR, README.md, d53ed32; docs/Dataset.md, 7a2e71b
         PublishedDataset(
             "sear", "SEAR", "Skorokhodov et al. 2026", f"{ZENODO}/records/19057885",
-            "github.com/Schindler-EPFL-Lab/SEAR", "29 April 2026: its authors name it; this package has not tried it",
-            "scenes of the three above and of others, with cameras by VGGT and gray images of the radiometric files: "
+            "github.com/Schindler-EPFL-Lab/SEAR", "29 April 2026: its authors name it; not tried here",
+            "scenes of RGBT-Scenes, ThermalMix, ThermoScenes and others, with cameras by VGGT and gray images: "
             f"scores of dataset=sear are none of theirs; {BY_ZENODO}",
         ),
     )

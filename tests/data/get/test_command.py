@@ -35,7 +35,7 @@ def test_list_get_and_get_again(tmp_path, server):
     assert listed.stdout.splitlines() == [
         "ThermalMix (Özer et al. 2024): https://zenodo.org/records/11065834",
         SOURCES["thermalmix"].holds,
-        "the address, when last known of: April 2026: others name it as their source (SEAR 7a2e71b)",
+        "state of the address: April 2026: others name it as their source (SEAR 7a2e71b)",
         "lion.zip, scene Lion: 1.5 MB, to be fetched",
         "laptop.zip, scene Laptop: 150.6 kB, to be fetched",
         "licence, as the record states: cc-by-4.0",
@@ -78,7 +78,7 @@ def test_no_network(tmp_path, monkeypatch):
     assert run.returncode == 1 and run.stderr == (
         "error: the files of ThermoScenes cannot be listed: Connection refused; or open "
         "https://zenodo.org/records/10835108 in a browser and unpack its scenes to data/ThermoScenes/<Scene>; if the "
-        "page is gone (last known: April 2026: others name it as their source (SEAR 7a2e71b)), ask its authors "
+        "page is gone (last known state: April 2026: others name it as their source (SEAR 7a2e71b)), ask its authors "
         "(github.com/Schindler-EPFL-Lab/thermo-nerf)\n"
     )
 
