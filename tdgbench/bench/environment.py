@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from tdgbench.bench.commit import HASHED, ROOT, git_state
 from tdgbench import __version__
+from tdgbench.bench.commit import HASHED, ROOT, git_state
 from tdgbench.bench.machine import describe_gpu, proc_field
 from tdgbench.splats.backends.backend import installed_version
 from tdgbench.splats.cpu import pool
@@ -26,7 +26,7 @@ def describe_environment() -> dict[str, object]:
     """Return machine and software, for the record."""
     return {
         "python": platform.python_version(),
-        "packages": {name: installed_version(name) for name in PACKAGES} | {"tdgbench": __version__},  # of a checkout, too
+        "packages": {name: installed_version(name) for name in PACKAGES} | {"tdgbench": __version__},
         "platform": platform.platform(),
         "cpu": cpu_model(),
         "cores": os.cpu_count(),
