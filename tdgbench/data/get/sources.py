@@ -75,7 +75,7 @@ SOURCES = {
         PublishedDataset(
             "rgbt_scenes", DATASETS["rgbt_scenes"], "Lu et al. 2024",
             f"{DRIVE}/drive/folders/1xuPwqezNW_LSB5C-H8TQFJ7nLoSS2BOg", "github.com/chen-hangyu/Thermal-Gaussian-main",
-            "24 November 2025: readers report that it is gone (404); `data get sear` has the captures, with other cameras",
+            "24 November 2025: readers report that it is gone (404); by its list, `sear` has the captures",
             "10 scenes, 7 of them the paper's, and an extension with GlassCup and DarkScenes; licence: not known here",
         ),
         # Schindler-EPFL-Lab/thermo-nerf, README.md, 08d9be9
