@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,11 @@ MOST_BESIDE = 4  # methods whose errors are beside their renders
 TITLE: dict[str, Any] = {"fontsize": 8, "y": 1.0}  # with a fixed height, matplotlib searches for none
 
 
-def draw_strip(cells: Sequence[CellFolder], target: Path) -> bool:
-    """Draw renders of finished cells; an unusable picture is shown as n/a. Return whether there was a cell to draw."""
+def draw_strip(cells: Sequence[CellFolder], target: Path, label: Callable[[str], str] = str) -> bool:
+    """Draw renders of finished cells, in their order; an unusable picture is n/a. Return whether there was a cell.
+
+    label: of a method, as it is printed.
+    """
     if not cells:
         return False
     scenes = list(dict.fromkeys((c.record.dataset, c.record.scene, c.record.split) for c in cells))
@@ -44,17 +47,18 @@ def draw_strip(cells: Sequence[CellFolder], target: Path) -> bool:
         colours = f", {scale.span}" if scale.span else ""
         row[0].set_title(f"{plain(place_name(place, scenes))}: ground truth{colours}", **TITLE)
         for m, cell in drawn.items():
-            _draw_cell((row[0], row[1 + m], errors[1 + m + (0 if below else len(methods))]), cell, view, scale)
+            axes_of_cell = row[0], row[1 + m], errors[1 + m + (0 if below else len(methods))]
+            _draw_cell(axes_of_cell, cell, view, scale, plain(label(cell.record.method)))
     target.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, target)
     return True
 
 
-def _draw_cell(axes: tuple[Axes, Axes, Axes], cell: CellFolder, view: str, scale: ColourScale) -> None:
+def _draw_cell(axes: tuple[Axes, Axes, Axes], cell: CellFolder, view: str, scale: ColourScale, name: str) -> None:
     """Draw ground truth, render and error of a cell's test view; n/a where its pictures cannot be read."""
     on_truth, on_render, on_error = axes
-    method, psnr = plain(cell.record.method), cell.record.scores.get("psnr")
-    title = f"{method} {'n/a' if psnr is None else f'{psnr:.1f} dB'}"
+    psnr = cell.record.scores.get("psnr")
+    title = f"{name}, {'n/a' if psnr is None else f'{psnr:.1f} dB'} over all views"
     on_render.set_title(title, **TITLE)
     try:
         shown = view_pictures(cell, view, scale)
@@ -64,7 +68,7 @@ def _draw_cell(axes: tuple[Axes, Axes, Axes], cell: CellFolder, view: str, scale
     on_truth.imshow(shown.truth)
     on_render.imshow(shown.render)
     on_error.imshow(shown.error)
-    on_error.set_title(f"{method} error, 0 to {scale.error_end}", **TITLE)
+    on_error.set_title(f"{name}: error, 0 to {scale.error_end}", **TITLE)
 
 
 def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str]]) -> str:

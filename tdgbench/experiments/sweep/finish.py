@@ -10,7 +10,8 @@ from omegaconf import DictConfig
 from tdgbench.bench.outcome import SUCCESS, Outcome
 from tdgbench.experiments.error_message import error_message
 from tdgbench.present.strip import draw_strip
-from tdgbench.report.report_page import write_report
+from tdgbench.report.report_page import in_order, write_report
+from tdgbench.tables import methods
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.show import show_findings, show_tables
 from tdgbench.terminal import say
@@ -68,7 +69,7 @@ def write_all(experiment: Path) -> list[str]:
     tables = build_tables(experiment)
     show_tables(tables)
     say(f"tables: {tables.folder}")
-    if draw_strip(tables.results.finished, experiment / "strip.png"):
+    if draw_strip(in_order(tables.results), experiment / "strip.png", methods.label):
         say(f"pictures: {experiment / 'strip.png'}")
     say(f"report: {write_report(tables)}")
     return tables.findings
