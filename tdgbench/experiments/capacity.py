@@ -1,8 +1,8 @@
 """`+experiment=capacity`: methods at equal numbers of Gaussians, and what each has reached after equal times.
 
 The number is that of the set of Gaussians that renders thermal images: of MSMG its thermal model, beside which its RGB
-model has as many again (`Budget.gaussians`). Trainings are as long as their budgets say, which tables show. Times are of
-trainings whose number is free; test views choose the best scores, so that no training could know them.
+model has as many again (`Budget.gaussians`). Trainings are as long as their budgets say, which tables show. Times are
+of trainings whose number is free; test views choose the best scores, so that no training could know them.
 """
 
 from __future__ import annotations
