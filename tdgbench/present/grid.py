@@ -11,9 +11,9 @@ from typing import NamedTuple
 class GridCell(NamedTuple):
     """One number of a grid.
 
-    text: with the standard deviation, if it has one; mean: without. value: NaN for n/a. sort: number or text to sort
-    by, empty for n/a. title: what a pointer shows. note: ours − published, with its verdict. published: the published
-    number and its verdict, in words.
+    text: with the standard deviation, if it has one; mean: without. value, std: NaN for n/a. sort: number or text to
+    sort by, empty for n/a. title: what a pointer shows. note: ours − published, with its verdict. published: the
+    published number and its verdict, in words.
     """
 
     text: str = "n/a"
@@ -25,6 +25,7 @@ class GridCell(NamedTuple):
     note: str = ""
     verdict: str = ""
     published: str = ""
+    std: float = math.nan
 
 
 class GridRow(NamedTuple):
@@ -42,9 +43,13 @@ class GridRow(NamedTuple):
 
 @dataclass(frozen=True)
 class Grid:
-    """Rows of numbers. heads: titles of the rows' heads. columns: titles of the numbers. notes: lines below."""
+    """Rows of numbers. heads: titles of the rows' heads. columns: titles of the numbers. notes: lines below.
+
+    names: the columns' names on disk.
+    """
 
     heads: Sequence[str]
     columns: Sequence[str]
     rows: list[GridRow]
     notes: Sequence[str] = field(default_factory=list)
+    names: Sequence[str] = ()

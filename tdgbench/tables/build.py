@@ -6,9 +6,10 @@ findings.txt says in sentences what they hold.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import NamedTuple
 
 import pandas as pd
 
@@ -17,23 +18,41 @@ from tdgbench.cells.record import Record
 from tdgbench.files import write_text
 from tdgbench.present.grid import Grid
 from tdgbench.scenes.registry import DATASETS
-from tdgbench.tables import methods
 from tdgbench.tables.as_csv import to_csv
 from tdgbench.tables.between_papers import against_others, between_papers
+from tdgbench.tables.comparisons import MethodComparison, compare_methods, comparison_tables, with_bold
+from tdgbench.tables.equal_data import equal_scenes
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.grids import ABLATION_KEYS, ablation_grid, main_grid
 from tdgbench.tables.latex import ablation_table, main_table
-from tdgbench.tables.long_table import cell_rows, method_label, scene_rows, with_averages, with_bold, with_protocols
-from tdgbench.tables.measures import ABLATION, AVERAGE, KEYS, OVERALL
+from tdgbench.tables.likeness import Trainings, problems_of
+from tdgbench.tables.long_table import cell_rows, method_label, scene_rows, with_averages, with_protocols
+from tdgbench.tables.measures import ABLATION, AVERAGE, COLUMNS, EXTRA, KEYS, OVERALL
 from tdgbench.tables.palette import COLUMN, with_image_values
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
 from tdgbench.tables.results import Results, read_results
-from tdgbench.tables.statistics import MethodComparison, compare_methods, intervals, over_seeds
+from tdgbench.tables.statistics import intervals, over_seeds, seed_values
 from tdgbench.tables.verdicts import against_published
 
+OPTIONAL = ("readings.csv", "effects.csv", "difference.csv", "between_papers.csv", "others.csv", "compared.csv",
+            "paired.csv", "speed.csv")  # tables that not every experiment or version has  # fmt: skip
 INITS = ("random", "colmap")  # of the paper's Table 2
-MAIN_COLUMNS = [*KEYS, "value", "bold", "reason", "seeds", "std", "ci95_low", "ci95_high", "split", "protocol", COLUMN]
+MAIN_COLUMNS = [
+    *KEYS, "value", "bold", "reason", "seeds", "std", "ci95_low", "ci95_high", "split", "protocol", "range_degC",
+    "training", COLUMN,
+]  # fmt: skip
+COLUMN_OF = partial(method_label, with_init=True)
+
+
+class TableOptions(NamedTuple):
+    """What a reader asks of tables. columns: measures of the main table; none: the usual ones."""
+
+    columns: tuple[str, ...] = ()
+    is_ranking_unlike: bool = False  # unlike trainings are ranked and averaged
+
+
+USUAL = TableOptions()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +67,8 @@ class Tables:
     papers: pd.DataFrame | None = None  # spread between papers
     readings: pd.DataFrame | None = None  # by method and length; of table=readings alone
     effects: pd.DataFrame | None = None
+    notes: Sequence[str] = ()  # on unlike trainings
+    columns: tuple[str, ...] = ()  # as `TableOptions`
 
     @property
     def is_ablation(self) -> bool:
@@ -70,63 +91,78 @@ class Tables:
     def grid(self) -> Grid:
         """The main table as readers see it."""
         if self.is_ablation:
-            return ablation_grid(self.main, self.difference)
-        return main_grid(self.main, self.difference)
+            return ablation_grid(self.main, self.difference, self.notes)
+        return main_grid(self.main, self.difference, self.columns, self.notes)
 
     @property
     def latex(self) -> str:
         """The main table as LaTeX."""
-        return ablation_table(self.main, self.grid) if self.is_ablation else main_table(self.main, self.grid)
+        if self.is_ablation:
+            return ablation_table(self.main, self.grid)
+        return main_table(self.main, self.grid, self.columns)
 
 
-def build_tables(experiment: Path) -> Tables:
-    """Build and write the tables of an experiment. Raises ValueError, naming the folder, if it is empty.
+def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:
+    """Build and write the tables of an experiment.
 
-    A record that cannot be read gives n/a with the reason, and is one of the results' `problems`.
+    A record that cannot be read gives n/a with the reason, and is one of the results' `problems`; so is a mean of
+    unlike trainings. Raises ValueError for an empty folder, naming it, and for columns that no table has.
     """
+    unknown = [name for name in options.columns if name not in (*COLUMNS, *EXTRA)]
+    if unknown:
+        raise ValueError(f"no column {', '.join(unknown)}; known are {', '.join((*COLUMNS, *EXTRA))}")
     results = read_results(experiment)
-    tables = (_ablation if results.plan.table == "ablation" else _main)(results)
+    tables = _ablation(results, options) if results.plan.table == "ablation" else _main(results, options)
     _write(tables)
     return tables
 
 
-def _main(results: Results) -> Tables:
+def _main(results: Results, options: TableOptions) -> Tables:
     """Build the main table and what goes with it; with table=readings, those of the readings as well."""
     records = results.records
     rows = cell_rows(records, results.plan)
-    main = with_protocols(with_bold(with_averages(scene_rows(rows))), records)
-    main = with_image_values(main, records, partial(method_label, with_init=True))
+    main = with_averages(scene_rows(rows))
     main = main.merge(over_seeds(rows), on=KEYS, how="left").merge(intervals(results.finished), on=KEYS, how="left")
+    trainings = Trainings(records, COLUMN_OF, options.is_ranking_unlike)
+    main = trainings.set_apart(main)
+    by_seed = seed_values(rows).reindex(pd.MultiIndex.from_frame(main[KEYS])).set_index(main.index)
+    main = with_bold(main, by_seed, ["dataset", "scene"])
+    main = with_image_values(with_protocols(main, records), records, COLUMN_OF)
     main = main.assign(seeds=main["seeds"].fillna(0).astype(int))[MAIN_COLUMNS]
-    comparisons = compare_methods(main)
+    comparisons = compare_methods(rows, main, results.finished)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     against = against_published(main, published_main(), KEYS) if of_paper else None
     cells = reading_cells(records) if results.plan.table == "readings" else None
     changes = None if cells is None else effects(cells)
     return Tables(
-        results=results, main=main, difference=against, comparisons=comparisons,
-        findings=findings_of_methods(main, against, comparisons, changes),
+        results=replace(results, problems=[*results.problems, *problems_of(main)]), main=main, difference=against,
+        comparisons=comparisons, notes=trainings.notes(), columns=options.columns,
+        findings=findings_of_methods(main, against, comparisons, changes, equal_scenes(records)),
         papers=None if against is None else between_papers(),
         readings=None if cells is None else with_image_values(readings(cells), records),
         effects=None if changes is None else with_image_values(changes, records),
     )  # fmt: skip
 
 
-def _ablation(results: Results) -> Tables:
+def _ablation(results: Results, options: TableOptions) -> Tables:
     records, plan = results.records, results.plan
-    main = ablation_rows(records, plan)
+    if options.columns:
+        raise ValueError(f"{results.folder} is an ablation, whose columns are those of the paper's")
+    trainings = Trainings(records, lambda record: _of_init(record.init, method_label(record, with_init=False)),
+                          options.is_ranking_unlike)  # fmt: skip
+    main = ablation_rows(records, plan, trainings)
     datasets = {s.dataset for s in plan.scenes} | {r.dataset for r in records}
     of_paper = datasets <= set(DATASETS.values())  # a mean over other scenes as well is not the published one
     published = ablation_as_published(main["init"].unique())
     against = against_published(main, published, ABLATION_KEYS) if of_paper else None
     return Tables(
         results=results, main=main, difference=against, findings=findings_of_ablation(main, against),
-        papers=None if against is None else between_papers(),
+        papers=None if against is None else between_papers(), notes=trainings.notes(),
     )  # fmt: skip
 
 
 def _write(tables: Tables) -> None:
-    """Write every table into its folder. Files of the paper's pair have plain names; others name their method."""
+    """Write every table into its folder."""
     files = {"main.csv": to_csv(tables.main), "main.tex": tables.latex}
     if tables.readings is not None and tables.effects is not None:
         files["readings.csv"], files["effects.csv"] = to_csv(tables.readings), to_csv(tables.effects)
@@ -136,36 +172,44 @@ def _write(tables: Tables) -> None:
         files["between_papers.csv"] = to_csv(tables.papers)
         if not tables.is_ablation:
             files["others.csv"] = to_csv(against_others(tables.main))
-    for pair, paired, speed in tables.comparisons:
-        suffix = "" if pair == methods.paper_pair() else f"_{pair.method}"
-        files |= {f"{name}{suffix}.csv": to_csv(t) for name, t in (("paired", paired), ("speed", speed)) if not t.empty}
+    files |= {f"{name}.csv": to_csv(table) for name, table in comparison_tables(tables.comparisons).items()}
     files["findings.txt"] = "".join(f"{sentence}\n" for sentence in tables.findings)
     tables.folder.mkdir(parents=True, exist_ok=True)
+    for name in OPTIONAL:  # of cells that were removed
+        if name not in files:
+            (tables.folder / name).unlink(missing_ok=True)
     for name, text in files.items():
         write_text(tables.folder / name, text)
 
 
-def ablation_rows(records: list[Record], plan: Plan) -> pd.DataFrame:
+def _of_init(init: str, column: str) -> str:
+    """Return the name of an ablation's row."""
+    return f"{column} ({init})"
+
+
+def ablation_rows(records: list[Record], plan: Plan, trainings: Trainings) -> pd.DataFrame:
     """Return method, init, metric, value, bold, points, seeds, std, reason: means over all scenes, per init.
 
-    The best init is bold. points: origin of the initial ones. Scores of training views show overfitting; scores of the
-    RGB model show what random points do to it.
+    The best init is bold, and those that cannot be told from it. points: origin of the initial ones. Scores of training
+    views show overfitting; scores of the RGB model show what random points do to it.
     """
-    parts = []
+    parts, seeds = [], []
     inits = dict.fromkeys([*plan.inits, *(r.init for r in records)]) or INITS
     for init in sorted({*INITS, *inits}, key=lambda name: (not name.startswith("random"), name)):
         cells = cell_rows(records, plan, init)
         rows = with_averages(scene_rows(cells)).merge(over_seeds(cells), on=KEYS, how="left")
         origins = dict.fromkeys(str(r.init_points["how"]) for r in records if r.init == init and "how" in r.init_points)
         datasets = set(rows["dataset"]) - {""}
-        chosen = rows[rows["scene"] == (OVERALL if len(datasets) > 1 else AVERAGE)]
-        parts.append(chosen[chosen["metric"].isin(ABLATION)].assign(init=init, points="; ".join(origins)))
+        chosen = rows[(rows["scene"] == (OVERALL if len(datasets) > 1 else AVERAGE)) & rows["metric"].isin(ABLATION)]
+        seeds.append(seed_values(cells).reindex(pd.MultiIndex.from_frame(chosen[KEYS])))
+        parts.append(chosen.assign(init=init, points="; ".join(origins)))
     table = pd.concat(parts, ignore_index=True)
+    names = table.assign(method=[_of_init(row.init, row.method) for row in table.itertuples()])
+    table = trainings.set_apart(names).assign(method=table["method"])
+    table = with_bold(table, pd.concat(seeds, ignore_index=True), ["method"])
     order = {name: -i for i, name in enumerate(table["method"].unique())}  # TDg first, as the paper's Table 2
     table = table.sort_values("method", key=lambda c: c.map(order), kind="stable").reset_index(drop=True)
-    groups = table.groupby(["method", "metric"])["value"]
-    table["bold"] = (table["value"] == groups.transform("max")) & (groups.transform("nunique") > 1)
-    table = table[[*ABLATION_KEYS, "value", "bold", "points", "seeds", "std", "reason"]]
+    table = table[[*ABLATION_KEYS, "value", "bold", "points", "seeds", "std", "reason", "training"]]
     return with_image_values(table, records, partial(method_label, with_init=False))
 
 

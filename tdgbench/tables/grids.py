@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,27 +11,61 @@ import pandas as pd
 
 from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.tables import methods
-from tdgbench.tables.long_table import initial_points, protocol_notes
-from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, HOURS, MEASURES, OVERALL, as_text, digits
+from tdgbench.tables.comparisons import BOLD_NOTE
+from tdgbench.tables.long_table import RANGE, initial_points, protocol_notes
+from tdgbench.tables.measures import (
+    ABLATION,
+    AVERAGE,
+    COLUMNS,
+    EXTRA,
+    HOURS,
+    MEASURES,
+    OVERALL,
+    PUBLISHED,
+    as_text,
+    digits,
+)
 from tdgbench.tables.palette import is_marked, palette_notes, with_mark
 from tdgbench.tables.verdicts import UNDECIDED
 
 SCENE_KEYS = ["dataset", "scene", "method"]
+ERROR, RANGE_TITLE = "mae_degC", "range, °C"
 ABLATION_KEYS = ["method", "init", "metric"]
 
 
-def main_grid(main: pd.DataFrame, difference: pd.DataFrame | None, metrics: Sequence[str] = COLUMNS) -> Grid:
-    """Return the rows of a main table in its order, methods of a scene together; their `place` is of SCENE_KEYS."""
+def main_grid(
+    main: pd.DataFrame, difference: pd.DataFrame | None, metrics: Sequence[str] = (), notes: Sequence[str] = ()
+) -> Grid:
+    """Return the rows of a main table in its order, methods of a scene together; their `place` is of SCENE_KEYS.
+
+    metrics: by default COLUMNS; where there are °C, with the error in °C and the range, which PSNR hangs on. notes: on
+    unlike trainings. Averages of one scene are left out.
+    """
     published = _by_keys(difference, [*SCENE_KEYS, "metric"])
+    metrics = metrics or _usual_columns(main)
+    scenes = main[~main["scene"].isin((AVERAGE, OVERALL))].groupby("dataset")["scene"].nunique()
     rows = []
     for (dataset, scene), of_scene in main.groupby(["dataset", "scene"], sort=False):
+        if scene == AVERAGE and scenes[dataset] == 1:
+            continue
         for method, group in of_scene.groupby("method", sort=False):
             place = (str(dataset), str(scene), str(method))
             heads = (place[0], with_mark(place[1], group), methods.label(place[2]))
             cells = _cells(group, place, metrics, published)
             rows.append(GridRow(heads, cells, place, str(group["group"].iloc[0]), is_marked(group)))
-    notes = [*protocol_notes(main), *palette_notes(main)]
-    return Grid(["data set", "scene", "method"], [MEASURES[metric].title for metric in metrics], rows, notes)
+    lines = [*protocol_notes(main), *_bold_note(main), *palette_notes(main), *notes]
+    titles = [RANGE_TITLE if metric == RANGE else MEASURES[metric].title for metric in metrics]
+    return Grid(["data set", "scene", "method"], titles, rows, lines, metrics)
+
+
+def _usual_columns(main: pd.DataFrame) -> tuple[str, ...]:
+    in_degC = (main["value"].notna() & (main["metric"] == ERROR)).any()
+    beside = {PUBLISHED[0]: (ERROR, RANGE)} if in_degC else {}
+    return tuple(one for name in COLUMNS for one in (name, *beside.get(name, ())))
+
+
+def _bold_note(main: pd.DataFrame) -> list[str]:
+    return [BOLD_NOTE] if main["bold"].any() else []
 
 
 def further_grid(main: pd.DataFrame) -> Grid | None:
@@ -39,19 +74,18 @@ def further_grid(main: pd.DataFrame) -> Grid | None:
     metrics = [metric for metric in EXTRA if metric in known]
     if not metrics:
         return None
-    grid = main_grid(main, None, metrics)
-    return Grid(grid.heads, grid.columns, grid.rows, palette_notes(main))
+    return replace(main_grid(main, None, metrics), notes=palette_notes(main))
 
 
-def ablation_grid(main: pd.DataFrame, difference: pd.DataFrame | None) -> Grid:
-    """Return the rows of an ablation by method and initial points, which are their `place`."""
+def ablation_grid(main: pd.DataFrame, difference: pd.DataFrame | None, notes: Sequence[str] = ()) -> Grid:
+    """Return the rows of an ablation by method and initial points, their `place`. notes: on unlike trainings."""
     published, rows = _by_keys(difference, ABLATION_KEYS), []
     for (method, init), group in main.assign(scene=OVERALL).groupby(["method", "init"], sort=False):
         place = (str(method), str(init))
         heads = (with_mark(methods.label(place[0]), group), place[1])
         rows.append(GridRow(heads, _cells(group, place, ABLATION, published), place, "", is_marked(group)))
-    notes = [*initial_points(main), *palette_notes(main)]
-    return Grid(["method", "initial points"], [MEASURES[metric].title for metric in ABLATION], rows, notes)
+    lines = [*initial_points(main), *_bold_note(main), *palette_notes(main), *notes]
+    return Grid(["method", "initial points"], [MEASURES[metric].title for metric in ABLATION], rows, lines, ABLATION)
 
 
 def _by_keys(difference: pd.DataFrame | None, keys: list[str]) -> dict[tuple[str, ...], Any]:
@@ -66,7 +100,11 @@ def _cells(
 ) -> tuple[GridCell, ...]:
     """Return the numbers of one row of a grid. group: its rows of main.csv. published: `_by_keys`."""
     by_metric = {row.metric: row for row in group.itertuples()}
-    return tuple(_cell(by_metric[metric], published.get((*place, metric))) for metric in metrics)
+    span = group[RANGE].iloc[0] if RANGE in metrics else ""
+    of_scene = GridCell(span or "n/a", span or "n/a", sort=span)
+    return tuple(
+        of_scene if metric == RANGE else _cell(by_metric[metric], published.get((*place, metric))) for metric in metrics
+    )
 
 
 def _cell(row: Any, published: Any) -> GridCell:
@@ -83,7 +121,7 @@ def _cell(row: Any, published: Any) -> GridCell:
     note, details = difference_note(published, row.scene)
     title = "; ".join(part for part in (details, interval) if part)
     verdict = published.verdict if note else ""
-    return GridCell(text, mean, row.value, row.value, bool(row.bold), title, note, verdict, beside)
+    return GridCell(text, mean, row.value, row.value, bool(row.bold), title, note, verdict, beside, row.std)
 
 
 def difference_note(published: Any, scene: str) -> tuple[str, str]:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scenes.registry import GROUPS, SCENES
+from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
-from tdgbench.tables.long_table import initial_points, protocol_notes
-from tdgbench.tables.measures import ABLATION, ABLATION_PAIRS, AVERAGE, COLUMNS, MEASURES, OVERALL, PUBLISHED, digits
-from tdgbench.tables.palette import MARK, palette_notes
+from tdgbench.tables.grids import ERROR
+from tdgbench.tables.long_table import RANGE, initial_points, protocol_notes
+from tdgbench.tables.measures import ABLATION, ABLATION_PAIRS, AVERAGE, HOURS, MEASURES, OVERALL, PUBLISHED, digits
+from tdgbench.tables.palette import MARK
 from tdgbench.text import one_line
 
 LABELS = {scene.name: scene.label for scene in SCENES}
@@ -52,7 +56,7 @@ def tabular(
 ) -> str:
     r"""Return a `tabular`, which needs the package booktabs. heads, body: lines. notes: comments before it.
 
-    below: notes on MARK, printed below the table.
+    below: notes that are printed below the table.
 
     >>> print(tabular("lr", ["& PSNR \\\\"], [r"\midrule", "a & 24.1 \\\\"]), end="")
     \begin{tabular}{lr}
@@ -64,22 +68,29 @@ def tabular(
     \end{tabular}
     """
     begin = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
-    marks = [rf"\multicolumn{{{len(columns)}}}{{l}}{{\footnotesize {LATEX_MARK}{escape(note.removeprefix(MARK))}}} \\"
-             for note in below]  # fmt: skip
+    lines = [rf"\multicolumn{{{len(columns)}}}{{l}}{{\footnotesize {_below(note)}}} \\" for note in below]
     notes = [f"% {one_line(note)}" for note in notes]
-    return "\n".join([*notes, *begin, *heads, *body, r"\bottomrule", *marks, r"\end{tabular}", ""])
+    return "\n".join([*notes, *begin, *heads, *body, r"\bottomrule", *lines, r"\end{tabular}", ""])
 
 
-def main_table(main: pd.DataFrame, grid: Grid) -> str:
+def _below(note: str) -> str:
+    return (LATEX_MARK if note.startswith(MARK) else "") + escape(note.removeprefix(MARK))
+
+
+def main_table(main: pd.DataFrame, grid: Grid, columns: Sequence[str] = ()) -> str:
     """Return a standalone `tabular` of scenes down, methods × measures across; it needs the package booktabs.
 
-    grid: `main_grid` of the main table.
+    grid: `main_grid` of the main table. columns: measures; by default those of the paper, and the error in °C beside
+    PSNR where the grid has it.
     """
-    columns = list(dict.fromkeys(row.place[2] for row in grid.rows))
-    width = 1 + len(columns) * len(PUBLISHED)
+    measures = [name for name in grid.names if name in (columns or (*PUBLISHED, ERROR))]
+    labels = list(dict.fromkeys(row.place[2] for row in grid.rows))
+    at, width = [grid.names.index(name) for name in measures], 1 + len(labels) * len(measures)
+    unit = _time_unit([cell for row in grid.rows for name, cell in zip(grid.names, row.cells, strict=True)
+                       if name == HOURS.name])  # fmt: skip
     lines, before = [], ("", "")
     for (dataset, scene), rows in _by_scene(grid).items():
-        group = rows[columns[0]].group
+        group = rows[labels[0]].group
         if scene == OVERALL:
             lines.append(r"\midrule")
         elif dataset != before[0]:
@@ -89,9 +100,11 @@ def main_table(main: pd.DataFrame, grid: Grid) -> str:
             lines.append(rf"\multicolumn{{{width}}}{{l}}{{\quad\textbf{{{title}}}}} \\")
         before = dataset, group
         mark = LATEX_MARK if any(row.is_marked for row in rows.values()) else ""
-        values = [_number(rows[m].cells[COLUMNS.index(metric)], metric, scene) for m in columns for metric in PUBLISHED]
-        lines.append(f"{_row_title(scene)}{mark} & {' & '.join(values)} \\\\")
-    return tabular("l" + "c" * (width - 1), _heads(columns), lines, protocol_notes(main), palette_notes(main))
+        values = [_number(rows[m].cells[i], grid.names[i], scene, unit) for m in labels for i in at]
+        lines.append(f"{_row_title(scene)}{_range(rows.values(), grid)}{mark} & {' & '.join(values)} \\\\")
+    comments = protocol_notes(main)
+    below = [note for note in grid.notes if note not in comments]
+    return tabular("l" + "c" * (width - 1), _heads(labels, measures, unit), lines, comments, below)
 
 
 def ablation_table(main: pd.DataFrame, grid: Grid) -> str:
@@ -113,16 +126,49 @@ def ablation_table(main: pd.DataFrame, grid: Grid) -> str:
             mark = LATEX_MARK if row.is_marked else ""
             lines.append(f"{escape(methods.label(method))}{mark} & {marks} & {pairs} \\\\")
     heads = [rf" & Random & COLMAP & {parts} \\"]
-    return tabular("lcc" + "c" * len(ABLATION_PAIRS), heads, lines, initial_points(main), palette_notes(main))
+    comments = initial_points(main)
+    below = [note for note in grid.notes if note not in comments]
+    return tabular("lcc" + "c" * len(ABLATION_PAIRS), heads, lines, comments, below)
 
 
-def _heads(columns: Sequence[str]) -> list[str]:
+def _heads(labels: Sequence[str], measures: Sequence[str], unit: TimeUnit) -> list[str]:
     """Return the lines of the main table's head: methods, each over its measures."""
-    count = len(PUBLISHED)
-    titles = [rf"\multicolumn{{{count}}}{{c}}{{{escape(methods.label(m))}}}" for m in columns]
-    rules = [rf"\cmidrule(lr){{{2 + i * count}-{1 + (i + 1) * count}}}" for i in range(len(columns))]
-    measures = [MEASURES[metric].latex_column for _ in columns for metric in PUBLISHED]
-    return [f"Dataset & {' & '.join(titles)} \\\\", "".join(rules), f" & {' & '.join(measures)} \\\\"]
+    count = len(measures)
+    titles = [rf"\multicolumn{{{count}}}{{c}}{{{escape(methods.label(m))}}}" for m in labels]
+    rules = [rf"\cmidrule(lr){{{2 + i * count}-{1 + (i + 1) * count}}}" for i in range(len(labels))]
+    names = [rf"Time [{unit.name}] $\downarrow$" if name == HOURS.name else _title(MEASURES[name]) for name in measures]
+    return [f"Dataset & {' & '.join(titles)} \\\\", "".join(rules), f" & {' & '.join(names * len(labels))} \\\\"]
+
+
+def _title(measure: Measure) -> str:
+    """Return a measure's heading; those without one of LaTeX have that of the terminal."""
+    label = measure.label + (f", {measure.images}" if measure.images else "")
+    return replace(measure, latex=measure.latex or escape(label)).latex_column
+
+
+class TimeUnit(NamedTuple):
+    """A unit that times are printed in. hours: that it has."""
+
+    name: str
+    hours: float
+    digits: int
+
+
+UNITS = (TimeUnit("h", 1, HOURS.digits), TimeUnit("min", 1 / 60, 1), TimeUnit("s", 1 / 3600, 1))
+
+
+def _time_unit(cells: Sequence[GridCell]) -> TimeUnit:
+    """Return the unit of a table's times: hours beside published ones, else the largest that is no longer than any."""
+    longest = max((cell.value for cell in cells if not np.isnan(cell.value)), default=1.0)
+    if any(cell.published for cell in cells):
+        return UNITS[0]
+    return next((unit for unit in UNITS if longest >= unit.hours), UNITS[-1])
+
+
+def _range(rows: Iterable[GridRow], grid: Grid) -> str:
+    """Return ` (10 to 35 °C)` of a scene in °C, whose PSNR hangs on it; empty for others."""
+    spans = {row.cells[grid.names.index(RANGE)].text for row in rows} - {"n/a"} if RANGE in grid.names else set[str]()
+    return f" ({escape(', '.join(sorted(spans)))} $^\\circ$C)" if spans else ""
 
 
 def _by_scene(grid: Grid) -> dict[tuple[str, str], dict[str, GridRow]]:
@@ -152,8 +198,10 @@ def _pair(cells: Mapping[str, GridCell], names: Sequence[str]) -> str:
     return rf"\textbf{{{text}}}" if any(cells[name].bold for name in names) else text
 
 
-def _number(cell: GridCell, metric: str, scene: str) -> str:
+def _number(cell: GridCell, metric: str, scene: str, unit: TimeUnit = UNITS[0]) -> str:
     if np.isnan(cell.value):
         return "n/a"
-    text = f"{cell.value:.{digits(metric, scene)}f}"
-    return rf"\textbf{{{text}}}" if cell.bold else text
+    per, places = (unit.hours, unit.digits) if metric == HOURS.name else (1.0, digits(metric, scene))
+    text = f"{cell.value / per:.{places}f}"
+    spread = "" if np.isnan(cell.std) else rf" $\pm$ {cell.std / per:.{places}f}"
+    return (rf"\textbf{{{text}}}" if cell.bold else text) + spread

@@ -13,7 +13,7 @@ from tdgbench.cells.record import Record
 from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables import methods
-from tdgbench.tables.measures import AVERAGE, COLUMNS, EXTRA, KEYS, MEASURES, OVERALL, TRAINING, RecordMeasure, digits
+from tdgbench.tables.measures import AVERAGE, COLUMNS, EXTRA, KEYS, MEASURES, OVERALL, TRAINING, RecordMeasure
 from tdgbench.tables.palette import with_text_of_cells
 
 SPLITS = {
@@ -21,6 +21,7 @@ SPLITS = {
     "every_8th": "every 8th view is tested",
     "folder": "the shipped train/ and test/ folders, as both releases read them",
 }
+RANGE = "range_degC"  # column of main.csv
 NO_RECORD = "not run, or the scene is not on disk"
 
 
@@ -100,12 +101,19 @@ def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def with_protocols(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
-    """Return the rows with `split` and `protocol` of their cells (`a + b` for an average over both)."""
+    """Return the rows with `split`, `protocol` (`a + b` for an average over both) and `range_degC` of their cells.
+
+    range_degC: °C of image values 0 and 1, if all cells have one: PSNR is relative to it.
+    """
 
     def joined(name: str) -> Callable[[Sequence[Record]], str]:
         return lambda cells: " + ".join(sorted({getattr(cell, name) for cell in cells}))
 
-    columns = {name: joined(name) for name in ("split", "protocol")}
+    def range_of(cells: Sequence[Record]) -> str:
+        found = {" to ".join(f"{end:.4g}" for end in cell.temperature_range or ()) for cell in cells}
+        return found.pop() if len(found) == 1 else ""
+
+    columns = {**{name: joined(name) for name in ("split", "protocol")}, RANGE: range_of}
     return with_text_of_cells(rows, records, columns, partial(method_label, with_init=True))
 
 
@@ -117,18 +125,6 @@ def protocol_notes(main: pd.DataFrame) -> list[str]:
         return [*splits, *(f"protocol {name}" for name in single)]
     columns = (f"{name} ({', '.join(dict.fromkeys(main.loc[main['protocol'] == name, 'method']))})" for name in single)
     return [*splits, f"several protocols, whose scores do not compare: {'; '.join(columns)}"]
-
-
-def with_bold(rows: pd.DataFrame) -> pd.DataFrame:
-    """Mark the best method of each row of the table. Values that print the same are a tie, which has no mark."""
-    goodness = [
-        round(r.value, digits(r.metric, r.scene)) * (1 if MEASURES[r.metric].higher_is_better else -1)
-        for r in rows.itertuples()
-    ]
-    by_row = pd.Series(goodness, rows.index, dtype=float).groupby([rows["dataset"], rows["scene"], rows["metric"]])
-    is_first = by_row.rank(method="max", ascending=False) == 1
-    bold = rows.assign(bold=is_first & (by_row.transform("count") > 1))
-    return bold[[*KEYS, "value", "bold", *(["reason"] if "reason" in rows else [])]]
 
 
 def initial_points(ablation: pd.DataFrame) -> list[str]:

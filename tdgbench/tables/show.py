@@ -13,9 +13,10 @@ from rich.text import Text
 from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
-from tdgbench.tables.long_table import initial_points, protocol_notes
-from tdgbench.tables.measures import ABLATION, COLUMNS, HOURS, MEASURES, PUBLISHED, as_text
-from tdgbench.tables.palette import MARK, palette_notes, with_mark
+from tdgbench.tables.grids import RANGE_TITLE
+from tdgbench.tables.long_table import RANGE
+from tdgbench.tables.measures import ABLATION, HOURS, MEASURES, PUBLISHED, as_text
+from tdgbench.tables.palette import MARK, with_mark
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import verdicts_in_words
 from tdgbench.terminal import console, say
@@ -55,9 +56,7 @@ def show_tables(tables: Tables) -> None:
         _show_readings(tables.readings, tables.effects)
     else:
         _show_main(tables)
-        for note in protocol_notes(tables.main):
-            say(one_line(note))
-    for note in palette_notes(tables.main):
+    for note in tables.grid.notes:
         say(one_line(note))
     _show_reasons(tables)
     show_problems(tables.problems)
@@ -129,19 +128,17 @@ def _name(name: object) -> Text:
 
 def _show_main(tables: Tables) -> None:
     """Print the main table: methods of a scene together, under the scene's name."""
-    table = Table("scene", "method")
-    for metric in COLUMNS:
-        table.add_column(MEASURES[metric].column, justify="right")
-    for (_, scene), group in groupby(tables.grid.rows, key=lambda row: row.place[:2]):
+    grid, table = tables.grid, Table("scene", "method")
+    for name in grid.names:
+        table.add_column(RANGE_TITLE if name == RANGE else MEASURES[name].column, justify="right")
+    for (_, scene), group in groupby(grid.rows, key=lambda row: row.place[:2]):
         rows = list(group)
         title = f"{scene} {MARK}" if any(row.is_marked for row in rows) else scene
         for row in rows:
-            texts = [
-                cell.mean if metric == HOURS.name else cell.text
-                for metric, cell in zip(COLUMNS, row.cells, strict=True)
-            ]
-            numbers = (Text(text, "bold" if cell.bold else "") for text, cell in zip(texts, row.cells, strict=True))
-            table.add_row(_name(title), _name(row.place[2]), *numbers, end_section=row is rows[-1])
+            named = list(zip(grid.names, row.cells, strict=True))
+            numbers = (Text(cell.mean if name == HOURS.name else cell.text, "bold" if cell.bold else "")
+                       for name, cell in named)  # fmt: skip
+            table.add_row(_name(title), _name(row.heads[2]), *numbers, end_section=row is rows[-1])
             title = ""
     console().print(table)
 
@@ -154,8 +151,6 @@ def _show_ablation(tables: Tables) -> None:
         for row in tables.grid.rows
     ]
     show_table(pd.DataFrame(rows, columns=["method", "initial points", *heads]))
-    for origin in initial_points(tables.main):
-        say(one_line(origin))
 
 
 def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame) -> None:

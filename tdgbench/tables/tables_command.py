@@ -16,16 +16,16 @@ from pathlib import Path
 from tdgbench.files import write_text
 from tdgbench.scoring.backbones import SPECS
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.tables.build import build_tables
+from tdgbench.tables.build import TableOptions, build_tables
 from tdgbench.tables.claims import claims_table, judge_claims
 from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
 from tdgbench.tables.findings import claims_in_words
+from tdgbench.tables.likeness import RANK_UNLIKE
 from tdgbench.tables.palette import COLUMN, image_values, palette_notes
 from tdgbench.tables.results import read_results
 from tdgbench.tables.sensitivity import Weights, sensitivity
 from tdgbench.tables.show import show_claims, show_findings, show_problems, show_sensitivity, show_tables
-from tdgbench.terminal import say
-from tdgbench.text import one_line
+from tdgbench.terminal import errors_in_one_line, say
 
 
 def main(arguments: list[str]) -> int:
@@ -34,20 +34,24 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("what", nargs="+", metavar="[claims|sensitivity] DIR", help="folders results/<experiment>")
     parser.add_argument("--weights", action="append", default=[], metavar="NET=FILE", type=_weights,
                         help="backbone of LPIPS for sensitivity, if torch's cache lacks it: vgg=vgg16.npz")  # fmt: skip
-    options = parser.parse_args(arguments)
+    parser.add_argument("--columns", type=lambda text: tuple(text.split(",")), default=(), metavar="NAME,...",
+                        help="measures of the main table, as psnr,ssim")  # fmt: skip
+    parser.add_argument(RANK_UNLIKE, action="store_true", dest="is_ranking_unlike",
+                        help="rank and average cells of unlike trainings: other budgets, versions ...")  # fmt: skip
+    options = parser.parse_intermixed_args(arguments)
     what = options.what
     if what[0] == "claims":
-        return _status(lambda: _claims([Path(folder) for folder in what[1:]]))
-    build: Callable[[Path], int] = _tables
+        return errors_in_one_line("tables")(_claims)([Path(folder) for folder in what[1:]])
+    build: Callable[[Path], int] = partial(_tables, options=TableOptions(options.columns, options.is_ranking_unlike))
     if what[0] == "sensitivity":
         build, what = partial(_sensitivity, weights=dict(options.weights)), what[1:]
         if not what:
             parser.error("sensitivity needs the folder of an experiment: results/<experiment>")
-    return max(_status(partial(build, Path(folder))) for folder in what)
+    return max(errors_in_one_line("tables")(build)(Path(folder)) for folder in what)
 
 
-def _tables(experiment: Path) -> int:
-    tables = build_tables(experiment)
+def _tables(experiment: Path, options: TableOptions) -> int:
+    tables = build_tables(experiment, options)
     show_tables(tables)
     show_findings(tables.findings)
     return int(bool(tables.problems))
@@ -97,12 +101,3 @@ def write_claims(experiments: list[Path]) -> list[JudgedClaim]:
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / "claims.csv", as_csv(claims_table(judged), as_is=("published_seen", "ours_seen")))
     return judged
-
-
-def _status(build: Callable[[], int]) -> int:
-    """Build something; return the exit status, which is 1 for what cannot be read."""
-    try:
-        return build()
-    except (ValueError, OSError) as error:
-        say(one_line(f"tdgbench tables: {error}"), stderr=True)
-        return 1

@@ -75,15 +75,15 @@ def configured(border: str) -> dict[str, object]:
     return {"config": config, "protocol": protocol_of(config)}
 
 
-def test_a_column_holds_one_protocol(tmp_path):
-    for scene, border in (("Truck", "zero"), ("Dimsum", "zero"), ("Ebike", "valid")):
-        write(tmp_path / "two", scene=scene, **configured(border))
+def test_no_average_is_over_two_protocols(tmp_path):
+    for scene, border in (("orbit", "zero"), ("night", "zero"), ("facade", "valid")):
+        write(tmp_path / "two", scene=scene, dataset="synthetic", **configured(border))
     tables = build_tables(tmp_path / "two")
-    psnr = tables.main[(tables.main["metric"] == "psnr") & (tables.main["method"] == "tdg")].set_index("scene")
-    assert pd.isna(psnr.loc["Ebike", "value"]) and psnr.loc["Truck", "value"] == 20
-    assert 'metrics.ssim_border: "valid", "zero"' in psnr.loc["Ebike", "reason"]
-    assert [problem for problem in tables.problems if "two protocols do not compare" in problem]
-    assert set(psnr.loc[["Truck", "Dimsum"], "protocol"]) == {configured("zero")["protocol"]}
+    rows = tables.main[tables.main["method"] == "tdg"].set_index(["scene", "metric"])
+    assert rows.loc[("facade", "psnr"), "value"] == 20 and pd.isna(rows.loc[("Average", "psnr"), "value"])
+    assert "(metrics.ssim_border: valid, zero)" in rows.loc[("Average", "psnr"), "reason"]
+    assert rows.loc[("Average", "train_hours"), "value"] == pytest.approx(0.1)  # of which no metric is part
+    assert [problem for problem in tables.problems if "metrics.ssim_border" in problem]
 
 
 def test_columns_of_several_protocols_are_named(tmp_path):

@@ -29,12 +29,11 @@ def test_the_published_numbers_give_the_published_table(published_tables):
     paper = published_main()
     merged = written[written["metric"].isin(paper["metric"].unique())].merge(paper, on=KEYS, suffixes=("", "_paper"))
     assert len(merged) == len(paper)
-    odd = merged[merged["bold"].astype(str).str.lower() != merged["bold_paper"].astype(str).str.lower()]
-    assert set(odd["scene"]) == {"Ebike", "RoadBlock"}
+    assert not written["bold"].any()  # of one seed
     for line in (
         r"\qquad Road Block & 26.51 & 0.921 & 0.221 & 0.388",
-        r"\textbf{26.73} & 0.921 & \textbf{0.212}",
-        r"\textbf{Average (Overall)} & 27.18 & 0.8896 & 0.177 & 0.389 & \textbf{27.42} & \textbf{0.8899}",
+        r"26.73 & 0.921 & 0.212",
+        r"\textbf{Average (Overall)} & 27.18 & 0.8896 & 0.177 & 0.389 & 27.42 & 0.8899",
     ):
         assert line in tables.latex
 
@@ -63,8 +62,8 @@ def test_ablation(tmp_path):
     Plan("ablation").write(tmp_path)
     tables = build_tables(tmp_path)
     assert tables.difference["difference"].abs().max() < 1e-9 and len(tables.main) == 24
-    assert r"TDg & $\times$ & $\checkmark$ & \textbf{27.42 / 0.8899} & 30.00 / 0.9000 & n/a / n/a \\" in tables.latex
-    assert r"MSMG & $\checkmark$ & $\times$ & 9.64 / 0.3471 & \textbf{40.00 / 0.9000} & n/a / n/a \\" in tables.latex
+    assert r"TDg & $\times$ & $\checkmark$ & 27.42 / 0.8899 & 30.00 / 0.9000 & n/a / n/a \\" in tables.latex
+    assert r"MSMG & $\checkmark$ & $\times$ & 9.64 / 0.3471 & 40.00 / 0.9000 & n/a / n/a \\" in tables.latex
     assert "% random: somewhere" in tables.latex
     assert (tables.main[tables.main["init"] == "random"]["points"] == "somewhere").all()
     assert (tables.difference["verdict"] == "undecided").all()

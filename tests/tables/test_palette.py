@@ -65,7 +65,7 @@ def test_an_ablation_says_it(tmp_path, capsys):
     tables = build_tables(tmp_path)
     for name in ("main", "difference"):
         assert set(stored(tmp_path, name)["image_values"]) == {WORDS}
-    assert rf"TDg{DAGGER} & $\times$ & $\checkmark$ & \textbf{{27.42 / 0.8899}}" in tables.latex
+    assert rf"TDg{DAGGER} & $\times$ & $\checkmark$ & 27.42 / 0.8899" in tables.latex
     assert tables.latex.splitlines()[-2] == rf"\multicolumn{{6}}{{l}}{{\footnotesize {DAGGER} {WORDS}}} \\"
     show_tables(tables)
     assert f"\n† {WORDS}\n" in (shown := capsys.readouterr().out) and shown.count("†") == 5

@@ -44,21 +44,6 @@ def test_runs_without_a_name_share_no_table(experiment):
     assert {r.scene for r in read_results(unnamed).records} == {"night"}
 
 
-def test_seeds_with_different_options_are_a_problem(experiment):
-    """Their mean would be of unlike trainings; seeds themselves, and what scores are read from, may differ."""
-    for seed, iterations, net in ((0, 60, "vgg"), (1, 60, "squeeze"), (2, 600, "vgg")):
-        config = {
-            "budget": {"iterations": iterations},
-            "dataset": {"seed": seed},
-            "seed": seed,
-            "metrics": {"net": net},
-        }
-        write(experiment, scene="wall", dataset="synthetic", seed=seed, config=config)
-        problems = read_results(experiment).problems
-        assert len(problems) == (seed == 2), problems
-    assert "wall" in problems[0] and "its seeds have different options (budget.iterations: 60, 600)" in problems[0]
-
-
 def cell_of(experiment: Path, scene: str) -> Path:
     return next((experiment / "cells" / "tdg" / "synthetic").glob(f"{scene}*")) / "colmap" / "seed0"
 

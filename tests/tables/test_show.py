@@ -34,7 +34,7 @@ def test_a_pipe_gets_every_name_and_number_and_the_findings_last(tmp_path):
         env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert run.returncode == 0 and "…" not in run.stdout, run.stderr
-    rows = re.findall(r"^│ (\S[^│]*?) +│ msmg +│(.*)│$", run.stdout, re.MULTILINE)
+    rows = re.findall(r"^│ (\S[^│]*?) +│ MSMG +│(.*)│$", run.stdout, re.MULTILINE)
     assert [name for name, _ in rows if "Average" not in name] == [scene.name for scene in SCENES]
     score, time = r" *[\d.]+ ± [\d.]+ │", r" +\d:\d\d:\d\d "  # the paper has no scores of right halves
     assert all(re.fullmatch(f"{score} +n/a │({score}){{2}}{time}", numbers) for _, numbers in rows)

@@ -1,0 +1,228 @@
+"""Which numbers may be compared: what has to agree between the trainings behind them.
+
+Columns of a table differ in method, initial points, and what a sweep names. A method's options, its prior beside a
+method without one, and lengths that its authors state are its own. All else has to agree: budget, iterations, prior,
+backend, version, protocol, the scene's files, sizes and range; for times, the machine. Where it does not, columns are
+no rivals, and a mean over unlike trainings is n/a.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import pandas as pd
+
+from tdgbench.cells.key import flat
+from tdgbench.cells.protocol import protocol_settings
+from tdgbench.cells.record import Record
+from tdgbench.tables import methods
+from tdgbench.tables.measures import AVERAGE, HOURS, OVERALL
+from tdgbench.text import MOST_NAMED, as_typed
+
+COLUMN = "training"  # of main.csv: in what a row's training differs from others of its scene; empty if in nothing
+GROUPS = ("budget", "prior", "skip", "thermal_camera")  # of options, that all methods share
+OF_A_COLUMN = ("method.", "init.")  # options that agree within a column
+OF_A_SCENE = ("scene's files", "image size", "range, °C")  # may differ between the scenes of an average
+OF_TIMES = ("processor", "GPU", "threads")
+OF_SCORES = "metrics."
+NAMED = ("budget", "prior")  # groups whose name stands for all their options
+OWN = {  # options of budgets that a method's file states, by which key; their values in budget=paper if it does not
+    "iterations": ("paper_iterations", 30000),
+    "budget.rates.means_steps": ("paper_means_steps", 30000),
+    "budget.density.stop": ("paper_density_stop", 15000),
+    "budget.density.gradient": ("gradient", "signed"),
+    "budget.density.grad_threshold": ("grad_threshold", 2.0e-4),
+}
+IGNORED = ("_target_", "seed", "expected_iterations", "convention")  # last part of an option's name
+AUTHORS = "as its authors state"  # in the place of values of OWN
+MOST_SCENES = 3  # of a difference that is another one in each scene
+RANK_UNLIKE, UNLIKE = "--rank-unlike", "are unlike trainings"
+
+
+class Difference(NamedTuple):
+    """In what columns differ. values: of each column that has any; several where the column is of unlike trainings."""
+
+    name: str
+    values: Mapping[str, tuple[str, ...]]
+
+
+class Trainings:
+    """The trainings behind the columns of a table. column: a cell's. is_ranking_unlike: nothing is set apart."""
+
+    def __init__(self, records: Iterable[Record], column: Callable[[Record], str], is_ranking_unlike: bool) -> None:
+        self._cells = [(record, column(record), _traits(record)) for record in records if record.failure is None]
+        self._name_versions()
+        self._is_ranking_unlike = is_ranking_unlike
+        self._found: dict[tuple[str, str, bool], list[Difference]] = {}
+
+    def of(self, dataset: str, scene: str, timed: bool) -> list[Difference]:
+        """Return in what the columns differ on a scene, or over the scenes of an average. timed: of times."""
+        place = dataset, scene, timed
+        if place not in self._found:
+            is_average = scene in (AVERAGE, OVERALL)
+            columns: dict[str, list[dict[str, object]]] = {}
+            for record, column, traits in self._cells:
+                if dataset in ("", record.dataset) and (is_average or record.scene == scene):
+                    columns.setdefault(column, []).append(traits)
+            left_out = (*(OF_A_SCENE if is_average else ()), *(() if timed else OF_TIMES))
+            found = _differences(columns, left_out)
+            if is_average:  # of scenes, on each of which these have to agree
+                scenes = dict.fromkeys((r.dataset, r.scene) for r, *_ in self._cells if dataset in ("", r.dataset))
+                found += [one for each in scenes for one in self.of(*each, timed) if one.name in OF_A_SCENE]
+            self._found[place] = [one for one in found if not (timed and one.name.startswith(OF_SCORES))]
+        return self._found[place]
+
+    def set_apart(self, table: pd.DataFrame) -> pd.DataFrame:
+        """Return a main table with COLUMN; numbers of unlike trainings in one column are n/a, with the reason."""
+        is_timed = table["metric"] == HOURS.name
+        places = list(zip(table["method"], table["dataset"], table["scene"], is_timed, strict=True))
+        texts, reasons = {}, {}
+        for column, dataset, scene, timed in () if self._is_ranking_unlike else set(places):
+            differ = self.of(dataset, scene, timed)
+            known = [(one.name, one.values[column]) for one in differ if column in one.values]
+            texts[column, dataset, scene, timed] = "; ".join(f"{name}: {' and '.join(v)}" for name, v in known)
+            mixed = [f"{name}: {', '.join(values)}" for name, values in known if len(values) > 1]
+            if mixed:
+                what = "its scenes or seeds" if scene in (AVERAGE, OVERALL) else "its seeds"
+                reasons[column, dataset, scene, timed] = f"{what} {UNLIKE} ({'; '.join(mixed)})"
+        table = table.assign(**{COLUMN: [texts.get(place, "") for place in places]})
+        unlike = pd.Series([reasons.get(place, "") for place in places], table.index, dtype=str)
+        is_mixed = (unlike != "") & table["value"].notna()
+        numbers = [name for name in ("value", "std", "ci95_low", "ci95_high") if name in table]
+        table.loc[is_mixed, numbers] = float("nan")
+        table.loc[is_mixed, "reason"] = unlike[is_mixed]
+        return table
+
+    def notes(self) -> list[str]:
+        """Return a line for each difference: what differs, its values, and the columns and scenes that have them."""
+        scenes = list(dict.fromkeys((record.dataset, record.scene) for record, *_ in self._cells))
+        averages = [(dataset, AVERAGE) for dataset in dict.fromkeys(dataset for dataset, _ in scenes)]
+        found: dict[str, dict[str, list[str]]] = {}
+        for dataset, scene in (*scenes, *averages):
+            for one in self.of(dataset, scene, timed=True) + self.of(dataset, scene, timed=False):
+                is_said = scene == AVERAGE and one.name in found
+                text = _by_value(one)
+                if not is_said and scene not in found.setdefault(one.name, {}).setdefault(text, []):
+                    found[one.name][text].append(scene)
+        if not found:
+            return []
+        lines = []
+        for name, by_text in found.items():
+            parts = [
+                text + ("" if len(places) == len(scenes) or AVERAGE in places else f" on {', '.join(places)}")
+                for text, places in list(by_text.items())[:MOST_SCENES]
+            ]
+            more = f" and {len(by_text) - MOST_SCENES} more" if len(by_text) > MOST_SCENES else ""
+            alone = ", of times alone" if name in OF_TIMES else ""
+            lines.append(f"unlike trainings{alone}: {name}: {'; '.join(parts)}{more}")
+        how = (
+            f"they are ranked and averaged all the same, as {RANK_UNLIKE} asks" if self._is_ranking_unlike
+            else f"they are not compared, and means over them are n/a (tdgbench tables DIR {RANK_UNLIKE}: they are)"
+        )  # fmt: skip
+        return [*lines, f"unlike trainings: {how}"]
+
+    def _name_versions(self) -> None:
+        """Give equal code one version, as the first cell of it names it: commits may differ in other files."""
+        versions: dict[str, str] = {}
+        for record, _, traits in self._cells:
+            if record.code:
+                traits["tdgbench"] = versions.setdefault(record.code, _version(record))
+
+
+def problems_of(table: pd.DataFrame) -> list[str]:
+    """Return a problem for each column and scene of a main table whose mean is of unlike trainings."""
+    unlike = table[table["reason"].str.contains(UNLIKE, regex=False)]
+    places = unlike[["method", "dataset", "scene", "reason"]].drop_duplicates()
+    is_average = places["scene"].isin((AVERAGE, OVERALL))
+    places = places[~is_average | ~places["method"].isin(places.loc[~is_average, "method"])]  # whose scenes say it
+    return [
+        f"{methods.label(row.method)} on {row.dataset}/{row.scene}: {row.reason}; run them alike, or delete those that "
+        "are not meant"
+        for row in places.itertuples()
+    ]
+
+
+def _by_value(one: Difference) -> str:
+    """Return the values, and the columns that have them: `400 (MSMG, TDg), 15000 (3DGS)`."""
+    columns: dict[str, list[str]] = {}
+    for column, values in one.values.items():
+        columns.setdefault(" and ".join(values), []).append(methods.label(column))
+    return ", ".join(f"{value} ({_some(names)})" for value, names in columns.items())
+
+
+def _some(names: Sequence[str]) -> str:
+    more = len(names) - MOST_NAMED
+    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _differences(columns: Mapping[str, Sequence[Mapping[str, object]]], left_out: Sequence[str]) -> list[Difference]:
+    """Return in what columns, each of the traits of its cells, differ. What a cell does not state agrees with all."""
+    stated_by = (name for cells in columns.values() for traits in cells for name in traits)
+    names = sorted(dict.fromkeys(stated_by), key=lambda name: name not in NAMED)  # before the options of their groups
+    found: dict[str, Difference] = {}
+    for name in names:
+        if name in left_out or any(name.startswith(f"{group}.") and group in found for group in NAMED):
+            continue
+        stated = [traits[name] for cells in columns.values() for traits in cells if name in traits]
+        stating = any(isinstance(value, _Own) and value.is_stated for value in stated)
+        kept: dict[str, dict[object, str]] = {}
+        for column, cells in columns.items():
+            of_cells = [traits[name] for traits in cells if name in traits]
+            kept[column] = dict(
+                ("own", AUTHORS) if stating and isinstance(value, _Own) else (_plain(value), as_typed(_plain(value)))
+                for value in of_cells
+            )
+        if name.startswith(OF_A_COLUMN):
+            kept = {column: values for column, values in kept.items() if len(values) > 1}
+        if len({key for values in kept.values() for key in values}) > 1:
+            found[name] = Difference(name, {c: tuple(v.values()) for c, v in kept.items() if v})
+    return list(found.values())
+
+
+class _Own(NamedTuple):
+    """The value of an option as the method's authors have it. is_stated: by the method's file, else by budget=paper."""
+
+    value: object
+    is_stated: bool
+
+
+def _plain(value: object) -> object:
+    """Return a value that is its own key."""
+    value = value.value if isinstance(value, _Own) else value
+    return as_typed(value) if isinstance(value, list | dict) else value
+
+
+def _traits(record: Record) -> dict[str, object]:
+    """Return what has to agree, by its name in print: for options, that of the command line."""
+    config = {name: part for name, part in record.config.items() if isinstance(part, dict)}
+    groups = (*(() if record.made_elsewhere else GROUPS), "method", "init")
+    options = flat({name: config[name] for name in groups if name in config}) | protocol_settings(config)
+    traits: dict[str, object] = {}
+    for name, value in options.items():
+        if name.rpartition(".")[2] not in IGNORED and name not in ("method.name", "init.name"):
+            traits[{"budget.iterations": "iterations"}.get(name, name.removesuffix(".name"))] = value
+    for name, (key, otherwise) in OWN.items():
+        stated = record.setting(f"method.{key}")
+        chosen = "budget.iterations" if name == "iterations" else name
+        own = otherwise if stated is None else stated
+        if name in traits and traits[name] == own and chosen not in record.variant:
+            traits[name] = _Own(traits[name], stated not in (None, otherwise))
+    environment = record.environment
+    others = {
+        "protocol": record.protocol.partition("-")[0], "backend": "" if record.made_elsewhere else record.backend,
+        "scene's files": record.data.split("-")[0], "image size": record.assumed.get("size", ""),
+        "range, °C": " to ".join(f"{end:g}" for end in record.temperature_range or ()),
+        "processor": environment.get("cpu"), "GPU": as_typed(environment["gpu"]) if environment.get("gpu") else "",
+        "threads": environment.get("threads"),
+    }  # fmt: skip
+    return traits | {name: value for name, value in others.items() if value}
+
+
+def _version(record: Record) -> str:
+    """Return version and commit, as `0.1.0 (2f683cd)`."""
+    packages, git = (
+        part if isinstance(part, dict) else {} for part in map(record.environment.get, ("packages", "git"))
+    )
+    commit = str(git.get("commit", ""))[:7] + (" with changes" if git.get("dirty") else "")
+    return f"{packages.get('tdgbench', 'unknown')}{f' ({commit})' if commit else ''}"

@@ -1,0 +1,158 @@
+"""Unlike trainings in one table: what counts as unlike, what it splits, and what is said of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from omegaconf import OmegaConf
+
+from tdgbench.resources import conf_folder
+from tdgbench.tables.build import TableOptions, Tables, build_tables
+from tdgbench.tables.likeness import OWN
+from tdgbench.tables.tables_command import main
+from tests.helpers.records import write
+
+RANKED = TableOptions(is_ranking_unlike=True)
+AUTHORS_OWN = "unlike trainings: iterations: 400 (3DGS), as its authors state (MSMG, TDg)"
+PSNR = {"3dgs": 23.0, "msmg": 20.0, "tdg": 21.0}
+
+
+def trained(name: str, iterations: int, **method: object) -> dict[str, object]:
+    budget = {"name": name, "iterations": iterations, "density": {"start": iterations // 10}}
+    return {"config": {"budget": budget, "method": method}}
+
+
+def run(experiment: Path, fields: dict[str, dict[str, object]], scenes: tuple[str, ...] = ("orbit",)) -> Tables:
+    """Three seeds of each method, with these fields of its records; the tables of them."""
+    for scene in scenes:
+        for method, more in fields.items():
+            for seed in range(3):
+                scores = {"psnr": PSNR[method] + (seed - 1) / 10}
+                write(experiment, method, scene, "synthetic", seed=seed, scores=scores, **more)
+    return build_tables(experiment)
+
+
+def bold(tables: Tables, metric: str = "psnr") -> set[str]:
+    return set(tables.main.query("metric == @metric and bold")["method"])
+
+
+def test_a_longer_training_wins_nothing(tmp_path, capsys):
+    """3DGS of `lean`, and a sweep of others with 400 iterations into the same name."""
+    short = trained("short", 400)
+    tables = run(tmp_path, {"3dgs": trained("lean", 15000), "msmg": short, "tdg": short})
+    assert bold(tables) == {"tdg"}  # the best of its like
+    assert main([str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    for note in (
+        "unlike trainings: budget: lean (3DGS), short (MSMG, TDg)",
+        "unlike trainings: iterations: 15000 (3DGS), 400 (MSMG, TDg)",
+        "unlike trainings: they are not compared",
+    ):
+        assert note in printed and note in tables.latex
+    assert printed.count("unlike trainings: ") == 3  # a budget's name stands for its options
+    assert not any("3DGS" in found for found in tables.findings if "n/a" not in found), tables.findings
+    stored = pd.read_csv(tmp_path / "tables" / "main.csv").query("scene == 'orbit' and metric == 'psnr'")
+    assert stored["training"].tolist() == [*["budget: short; iterations: 400"] * 2, "budget: lean; iterations: 15000"]
+    assert main([str(tmp_path), "--rank-unlike"]) == 0
+    assert "ranked and averaged all the same" in capsys.readouterr().out
+    assert bold(build_tables(tmp_path, RANKED)) == {"3dgs"}
+
+
+@pytest.mark.parametrize(
+    ("fields", "note"),
+    [
+        ({"backend": "gsplat"}, "backend: gsplat (MSMG), cpu (TDg)"),
+        ({"data": "b"}, "scene's files: b (MSMG), a (TDg)"),
+        ({"assumed": {"size": "64×48 px"}}, "image size: 64×48 px (MSMG), 160×120 px (TDg)"),
+        ({"temperature_range": [-22.0, 7.0]}, "range, °C: -22 to 7 (MSMG), 10 to 35 (TDg)"),
+        ({"protocol": "2-a"}, "protocol: 2 (MSMG), 1 (TDg)"),
+        ({"code": "d", "environment": {"packages": {"tdgbench": "0.2.0"}}}, "tdgbench: 0.2.0 (MSMG), unknown (TDg)"),
+        ({"config": {"prior": {"name": "marigold"}}}, "prior: marigold (MSMG), synthetic (TDg)"),
+        ({"config": {"dataset": {"options": {"width": 64}}}}, "data.width: 64 (MSMG), 160 (TDg)"),
+    ],
+)  # fmt: skip
+def test_what_has_to_agree(tmp_path, fields, note):
+    config = {"prior": {"name": "synthetic"}, "dataset": {"options": {"width": 160}}}
+    like = {"backend": "cpu", "data": "a", "assumed": {"size": "160×120 px"}, "temperature_range": [10.0, 35.0],
+            "protocol": "1-a", "code": "c", "config": config}  # fmt: skip
+    tables = run(tmp_path, {"msmg": {**like, **fields}, "tdg": like})
+    assert f"unlike trainings: {note}" in tables.grid.notes and not bold(tables)
+    assert tables.findings[0].startswith("TDg against MSMG: n/a")
+    assert not tables.problems and tables.main.query("metric == 'psnr' and scene == 'orbit'")["value"].notna().all()
+
+
+def test_what_is_a_method_s_own(tmp_path):
+    """Its options, its prior, its code, and the length that its file states."""
+    fields = {
+        "msmg": {**trained("paper", 30000, lambda_smooth=0.6), "code": "c"},
+        "tdg": {**trained("paper", 10000, paper_iterations=10000), "code": "d"},
+    }
+    for name in fields:
+        fields[name]["config"]["budget"]["density"] = {"start": 500}
+    fields["tdg"]["config"]["prior"] = {"name": "marigold"}
+    tables = run(tmp_path / "own", fields)
+    assert not tables.notes and bold(tables) == {"tdg"}
+    fields["3dgs"] = {**trained("paper", 400), "code": "c"}
+    tables = run(tmp_path / "other", fields)
+    assert bold(tables) == {"tdg"} and AUTHORS_OWN in tables.notes
+
+
+def test_lengths_of_authors_are_those_of_the_budget_file():
+    budget = OmegaConf.to_container(OmegaConf.load(conf_folder() / "budget" / "paper.yaml"), resolve=True)
+    plain = {name: OmegaConf.select(OmegaConf.create(budget), name.removeprefix("budget.")) for name in OWN}
+    assert plain == {name: value for name, (_, value) in OWN.items()}
+
+
+def test_threads_split_times_alone(tmp_path):
+    tables = run(tmp_path, {"msmg": {"environment": {"threads": 2}}, "tdg": {"environment": {"threads": 1}}})
+    assert "unlike trainings, of times alone: threads: 2 (MSMG), 1 (TDg)" in tables.notes
+    assert bold(tables) == {"tdg"} and not bold(tables, "train_hours")
+
+
+def test_a_mean_over_unlike_trainings_is_na(tmp_path):
+    """Of seeds, and of scenes; what scores are read from may lie elsewhere."""
+    for scene, seed, iterations in (("orbit", 0, 60), ("orbit", 1, 600), ("night", 0, 60)):
+        config = {**trained("short", iterations)["config"], "metrics": {"lpips": {"weights": str(seed)}}, "seed": seed}
+        write(tmp_path / "seeds", scene=scene, dataset="synthetic", seed=seed, config=config)
+    tables = build_tables(tmp_path / "seeds")
+    psnr = tables.main.query("metric == 'psnr'").set_index("scene")
+    assert psnr.loc["night", "value"] == 20 and psnr.loc[["orbit", "Average"], ["value", "std"]].isna().all(axis=None)
+    assert "its seeds are unlike trainings (" in psnr.loc["orbit", "reason"]
+    (problem,) = tables.problems
+    assert problem.startswith("TDg on synthetic/orbit: ") and "iterations: 60, 600" in problem
+    assert build_tables(tmp_path / "seeds", RANKED).main.query("metric == 'psnr'")["value"].notna().all()
+
+
+def test_scenes_in_degC_show_range_and_error(tmp_path):
+    for scene, low in (("orbit", 10.0), ("night", -22.0)):
+        write(tmp_path, scene=scene, dataset="synthetic", scores={"mae_degC": 0.25}, temperature_range=[low, 35.0])
+    tables = build_tables(tmp_path)
+    assert tables.grid.names[:3] == ("psnr", "mae_degC", "range_degC")
+    texts = {row.place[1]: [cell.text for cell in row.cells[:3]] for row in tables.grid.rows}
+    assert texts == {
+        "night": ["20.00", "0.250", "-22 to 35"], "orbit": ["20.00", "0.250", "10 to 35"],
+        "Average": ["20.00", "0.250", "n/a"],
+    }  # fmt: skip
+    assert r"orbit (10 to 35 $^\circ$C) & 20.00 & 0.250 & 0.800" in tables.latex
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(13.4, "Time [s]"), (360, "Time [min]"), (7300, "Time [h]")])
+def test_latex_has_spreads_and_units_that_fit(tmp_path, seconds, text):
+    for seed in range(2):
+        write(tmp_path, scene="orbit", dataset="synthetic", seed=seed, scores={"psnr": 20.0 + seed},
+              seconds={"train": seconds})  # fmt: skip
+    latex = build_tables(tmp_path).latex
+    number = {"Time [s]": "13.4", "Time [min]": "6.0", "Time [h]": "2.028"}[text]
+    assert text in latex and r"20.50 $\pm$ 0.71 &" in latex and rf"& {number} $\pm$ 0.0" in latex
+    assert "Average" not in latex  # of one scene
+
+
+def test_columns_are_chosen(tmp_path, capsys):
+    write(tmp_path, scene="orbit", dataset="synthetic")
+    assert main(["--columns", "ssim,psnr", str(tmp_path)]) == 0
+    assert "LPIPS↓" not in capsys.readouterr().out
+    assert r"orbit & 0.800 & 20.00 \\" in (tmp_path / "tables" / "main.tex").read_text()
+    assert main([str(tmp_path), "--columns", "psnr,ssm"]) == 1
+    assert "no column ssm; known are psnr, " in capsys.readouterr().err
