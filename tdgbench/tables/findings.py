@@ -5,19 +5,44 @@ They count what the tables hold. Nothing is computed or judged here.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, THE_PAPER, JudgedClaim
 from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
+from tdgbench.tables.comparisons import MethodComparison, margin_of
+from tdgbench.tables.equal_data import Place, equal_data_notes
 from tdgbench.tables.long_table import NO_RECORD
-from tdgbench.tables.measures import ABLATION, AVERAGE, MEASURES, OVERALL, PUBLISHED, PUBLISHED_SCORES, as_text
+from tdgbench.tables.measures import (
+    ABLATION,
+    AVERAGE,
+    HOURS,
+    MEASURES,
+    OVERALL,
+    PUBLISHED,
+    PUBLISHED_SCORES,
+    as_text,
+    digits,
+)
+from tdgbench.tables.published import published_main
 from tdgbench.tables.readings import change_as_text, widest_average, with_setup
-from tdgbench.tables.statistics import MethodComparison
-from tdgbench.tables.verdicts import ONE_SEED, REPRODUCED, UNDECIDED, WORDS, comparable, seeds_in_words
+from tdgbench.tables.seed_spreads import beyond_in_words, usual_spread
+from tdgbench.tables.verdicts import (
+    BETTER,
+    NOT_REPRODUCED,
+    ONE_SEED,
+    REPRODUCED,
+    UNDECIDED,
+    WORDS,
+    WORSE,
+    comparable,
+    seeds_in_words,
+)
 from tdgbench.text import one_line
 
 SYNTHETIC, CAPTURE = "synthetic", "folder"  # data sets; the first begins the names of several
@@ -27,15 +52,19 @@ SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
 def findings_of_methods(
     main: pd.DataFrame,
     difference: pd.DataFrame | None,
-    comparisons: Iterable[MethodComparison],
+    comparisons: Sequence[MethodComparison],
     effects: pd.DataFrame | None,
+    equal: Mapping[Place, Place],
 ) -> list[str]:
-    """Return the findings of a main table, one sentence each, in one line each."""
-    sentences = [sentence for comparison in comparisons for sentence in _comparison(comparison, main)]
-    sentences += [] if effects is None else _effects(effects)
+    """Return the findings of a main table, one sentence each, in one line each. equal: from `equal_scenes`."""
+    if effects is None:
+        sentences = [sentence for comparison in comparisons for sentence in _comparison(comparison, main)]
+    else:  # which compare the same methods, and others
+        sentences = list(_effects(effects))
     sentences += [] if difference is None else [published(difference)]
     sentences = sentences or list(_alone(main))
-    return [one_line(sentence) for sentence in (*sentences, *(_caveats(main) if sentences else ()))]
+    notes = (*_caveats(main), *equal_data_notes(equal)) if sentences else ()
+    return [one_line(sentence) for sentence in (*sentences, *notes)]
 
 
 def findings_of_ablation(main: pd.DataFrame, difference: pd.DataFrame | None) -> list[str]:
@@ -46,7 +75,7 @@ def findings_of_ablation(main: pd.DataFrame, difference: pd.DataFrame | None) ->
 
 def _caveats(main: pd.DataFrame) -> Iterable[str]:
     """Yield what the findings of a main table are no evidence of."""
-    scenes = main[~main["scene"].isin((AVERAGE, OVERALL))]
+    scenes = main[~_is_average(main)]
     once = f"one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
     data_sets = set(scenes["dataset"])
     if data_sets == {CAPTURE}:
@@ -60,10 +89,7 @@ def _caveats(main: pd.DataFrame) -> Iterable[str]:
 
 
 def published(differences: pd.DataFrame) -> str:
-    """Say how many published scores are reproduced, and what would decide the others. differences: difference.csv.
-
-    With one seed, every verdict waits for more seeds.
-    """
+    """Say how many published scores are reproduced, and what would decide the others. differences: difference.csv."""
     judged = comparable(differences)
     known = judged[judged["difference"].notna()]
     if known.empty:
@@ -75,8 +101,12 @@ def published(differences: pd.DataFrame) -> str:
     decidable = undecided[undecided["undecided_because"] != ONE_SEED]
     advice = [seeds_in_words(decidable)] if len(decidable) else []
     advice += [f"run `{SEEDS}`"] if len(decidable) < len(undecided) else []
-    missing = f" ({len(judged) - len(known)} more have none of ours beside them)" if len(known) < len(judged) else ""
-    return ", ".join(parts) + (f": {'; '.join(advice)}" if advice else "") + missing
+    notes = [f"{len(judged) - len(known)} more have none of ours beside them"] if len(known) < len(judged) else []
+    notes += (
+        [beyond_in_words(known.loc[known["verdict"] == NOT_REPRODUCED, "metric"])] if counts[NOT_REPRODUCED] else []
+    )
+    text = ", ".join(parts) + (f": {'; '.join(advice)}" if advice else "")
+    return f"{text} ({'; '.join(notes)})" if notes else text
 
 
 def claims_in_words(claims: Sequence[JudgedClaim]) -> list[str]:
@@ -97,35 +127,83 @@ def claims_in_words(claims: Sequence[JudgedClaim]) -> list[str]:
 
 
 def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[str]:
-    """Compare a method with its baseline: scenes, averages, training time."""
-    pair, paired, speed = comparison
+    """Compare a method with its baseline: on how many scenes it is better, and by how much on the widest average."""
+    pair, changes, paired = comparison
+    title = " against ".join(methods.label(column) for column in pair)
     both = main[main["method"].isin(pair) & main["metric"].isin(PUBLISHED)]
-    if both["method"].nunique() < 2:
+    rows = changes[changes["metric"].isin(PUBLISHED) & changes["change"].notna() & changes["scene"].isin(both["scene"])]
+    scenes = rows[~_is_average(rows)]
+    if scenes.empty:
+        yield f"{title}: {_why_not(both, 'no scene has results of both that compare')}"
         return
-    method, baseline = methods.label(pair.method), methods.label(pair.baseline)
-    rows = [row for row in paired.itertuples() if row.metric in PUBLISHED and row.scenes]
-    if not rows:
-        yield f"{method} against {baseline}: {_why_not(both, 'no scene has results of both')}"
+    compared = scenes[["dataset", "scene"]].drop_duplicates()
+    several = len(compared) > 1
+    without = len(both.loc[~_is_average(both), ["dataset", "scene"]].drop_duplicates()) - len(compared)
+    notes = [f"n/a on {without} more"] if without else []
+    if several and scenes["seeds"].max() > 1:
+        tests = ["p: Wilcoxon's signed-rank test over the scenes"] if "(p " in (counts := _counts(paired)) else []
+        yield "; ".join([f"{title} on {len(compared)} scenes: {counts}", *tests, *notes])
+        notes = []
+    place = widest_average(rows) if several else scenes
+    if several and not _is_average(place).all():  # some scene lacks results, so there is no average
         return
-    counts = [
-        f"{row.better} of {row.scenes}{' scenes' * (row is rows[0])} in {MEASURES[row.metric].label}{_p(row.p)}"
-        for row in rows
-    ]
-    notes = ["p: Wilcoxon's signed-rank test over the scenes"] if any(_p(row.p) for row in rows) else []
-    scenes = both.loc[~both["scene"].isin((AVERAGE, OVERALL)), ["dataset", "scene"]].drop_duplicates()
-    without = len(scenes) - rows[0].scenes
-    notes += [f"n/a on {without} more"] if without else []
-    yield "; ".join([f"{method} is better than {baseline} on {', '.join(counts)}", *notes])
-    if rows[0].scenes > 1:
-        yield from _averages(pair, both)
-    of_scenes = speed[~speed["scene"].isin((AVERAGE, OVERALL))].dropna()
-    if len(of_scenes):
-        ratio = of_scenes["ours"] / of_scenes["published"]
-        ours, paper = of_scenes["ours"].mean(), of_scenes["published"].mean()
-        yield (
-            f"{method} takes {ours:.2f} times as long as {baseline}, by the published table {paper:.2f} times; "
-            f"{int((ratio - 1).abs().lt(0.1).sum())} of {len(of_scenes)} scenes agree within 10 %"
-        )
+    where = f"on average over {len(compared)} scenes" if several else f"on {compared['scene'].iloc[0]}"
+    parts = [_change(row) for row in place.itertuples()]
+    of_scenes = main.merge(place[["dataset", "scene"]].drop_duplicates() if not several else compared)
+    grounds = [_certainty(place, of_scenes), *_published_time(pair, scenes), *notes]
+    yield "; ".join([f"{title} {where}: {', '.join(parts)}", *grounds])
+
+
+def _counts(paired: pd.DataFrame) -> str:
+    """Return on how many scenes a method is better, worse and undecided, by metric, with p. paired: `paired_tests`."""
+    of_metric = {row.metric: row for row in paired.itertuples()}
+    counted = [(metric, of_metric[metric]) for metric in PUBLISHED if metric in of_metric]
+    words = (", ".join(f"{word} on {n}" for word in (BETTER, WORSE, UNDECIDED) if (n := getattr(row, word)))
+             for _, row in counted)  # fmt: skip
+    return "; ".join(
+        f"{MEASURES[metric].label} {text}{_p(row.p)}"
+        for (metric, row), text in zip(counted, words, strict=True)
+        if text
+    )
+
+
+def _change(row: Any) -> str:
+    """Return both values, the change and, where it has an interval, its verdict. row: of a comparison's changes."""
+    measure, values = MEASURES[row.metric], (as_text(row.metric, value, row.scene) for value in (row.new, row.old))
+    form = ".2f" if measure.ratio else f"+.{digits(row.metric, row.scene)}f"
+    text = f"× {row.change:{form}}" if measure.ratio else f"{row.change:{form}}{measure.suffix}"
+    if not np.isnan(row.ci95_low):
+        is_small = row.verdict == UNDECIDED and row.ci95_low * row.ci95_high > 0 and not measure.ratio
+        small = f"within {margin_of(row.metric):g}, " if is_small else ""
+        text += f" [{row.ci95_low:{form}}, {row.ci95_high:{form}}], {small}{row.verdict}"
+    return f"{measure.label} {' against '.join(values)} ({text})"
+
+
+def _certainty(place: pd.DataFrame, main: pd.DataFrame) -> str:
+    """Return over how many seeds changes have intervals; of one seed, how far seeds are usually apart.
+
+    place: changes at one place. main: rows of the scenes, of all methods.
+    """
+    seeds = place["seeds"].max()
+    if seeds < 2:
+        return f"one seed decides nothing: {usual_spread(main)}"
+    shared = " that both have" if seeds < main["seeds"].max() else ""
+    return f"95 % intervals over {seeds} seeds{shared}"
+
+
+def _published_time(pair: methods.MethodPair, scenes: pd.DataFrame) -> list[str]:
+    """Return the ratio of training times by the published table, over the same scenes; nothing where it lacks one."""
+    timed = scenes[scenes["metric"] == HOURS.name]
+    table = published_main()
+    hours = table[table["metric"] == HOURS.name].merge(timed[["dataset", "scene"]], on=["dataset", "scene"])
+    means = hours.groupby("method")["value"].agg(["mean", "size"])
+    if not set(pair) <= set(means.index) or timed.empty or (means["size"] < len(timed)).any():
+        return []
+    return [f"by the published table time × {means['mean'][pair.method] / means['mean'][pair.baseline]:.2f}"]
+
+
+def _is_average(rows: pd.DataFrame) -> pd.Series:
+    return rows["scene"].isin((AVERAGE, OVERALL))
 
 
 def _alone(main: pd.DataFrame) -> Iterable[str]:
@@ -133,37 +211,26 @@ def _alone(main: pd.DataFrame) -> Iterable[str]:
     for column, rows in main.groupby("method", sort=False):
         known = widest_average(rows[rows["metric"].isin(PUBLISHED)]).dropna(subset="value")
         parts = [f"{MEASURES[r.metric].label} {as_text(r.metric, r.value, r.scene)}" for r in known.itertuples()]
-        scenes = list(dict.fromkeys(rows.loc[~rows["scene"].isin((AVERAGE, OVERALL)), "scene"]))
+        scenes = list(dict.fromkeys(rows.loc[~_is_average(rows), "scene"]))
         where = scenes[0] if len(scenes) == 1 else f"the average of {len(scenes)} scenes"
         if parts:
-            yield f"{methods.label(str(column))} has {', '.join(parts)} on {where}, with no baseline beside it"
-
-
-def _averages(pair: methods.MethodPair, both: pd.DataFrame) -> Iterable[str]:
-    """Yield the widest averages of a method beside those of its baseline; nothing where they are n/a."""
-    known = widest_average(both).dropna(subset="value")
-    texts = {(r.method, r.metric): as_text(r.metric, r.value, r.scene) for r in known.itertuples()}
-    parts = [
-        f"{MEASURES[metric].label} {texts[pair.method, metric]} against {texts[pair.baseline, metric]}"
-        for metric in PUBLISHED
-        if {(method, metric) for method in pair} <= set(texts)
-    ]
-    if parts:
-        yield f"On average {methods.label(pair.method)} has {', '.join(parts)}"
+            yield f"{methods.label(str(column))} has {', '.join(parts)} on {where}; no method beside it is its baseline"
 
 
 def _ablation(main: pd.DataFrame) -> Iterable[str]:
-    """Yield the initial points with which each method scores best. main: an ablation."""
+    """Yield each method's scores by initial points, and which are best as far as seeds tell. main: an ablation."""
     for method, group in main.groupby("method", sort=False):
         parts = []
         for metric in (metric for metric in ABLATION if metric in PUBLISHED_SCORES):
             values = group[group["metric"] == metric].dropna(subset="value").sort_values("value", ascending=False)
+            best = "" if not values["bold"].any() else " (best)" if values["bold"].sum() == 1 else " (among the best)"
             if len(values):
-                texts = (f"{as_text(metric, r.value, OVERALL)} with {r.init}" for r in values.itertuples())
+                texts = (
+                    f"{as_text(metric, r.value, OVERALL)} with {r.init}{best * r.bold}" for r in values.itertuples()
+                )
                 parts.append(f"{MEASURES[metric].label} {', '.join(texts)}")
-        label = methods.label(str(method))
-        what = f", best points first: {'; '.join(parts)}" if parts else f": {_why_not(group, 'scenes lack results')}"
-        yield f"{label}{what}"
+        parts += ["one seed decides nothing"] * bool(parts and group["seeds"].max() == 1)
+        yield f"{methods.label(str(method))}: {'; '.join(parts) or _why_not(group, 'scenes lack results')}"
 
 
 def _effects(effects: pd.DataFrame) -> Iterable[str]:

@@ -1,21 +1,17 @@
-"""Uncertainty of our numbers: spread over seeds, intervals over seeds and views, tests of a method against another."""
+"""Uncertainty of our numbers: spread over seeds, intervals over seeds and views."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.special import stdtrit
 
 from tdgbench.cells.record import Record
-from tdgbench.tables import methods
 from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OF_RECORDS, OVERALL, TRAINING, gain
-from tdgbench.tables.methods import MethodPair
-from tdgbench.tables.palette import COLUMN, values_over_scenes
-from tdgbench.tables.published import published_main
+from tdgbench.tables.measures import AVERAGE, KEYS, OF_RECORDS, OVERALL
 from tdgbench.tables.results import Cell
 
 REPLICATES = 1000
@@ -41,18 +37,22 @@ def mean_interval(values: np.ndarray) -> tuple[float, float, float]:
     return mean, mean - half, mean + half
 
 
-def over_seeds(cells: pd.DataFrame) -> pd.DataFrame:
-    """Return KEYS, seeds, std of `cell_rows`: the sample standard deviation over seeds (NaN below two), and how many.
+def seed_values(cells: pd.DataFrame) -> pd.DataFrame:
+    """Return the values of `cell_rows` by seed: a column for each seed, a row for each KEYS, averages included.
 
-    An average counts the seeds that all of its scenes have.
+    NaN where a method lacks the seed; an average has the seeds that all of its scenes have.
     """
     by_seed = cells.groupby([*KEYS, "seed"], sort=False)["value"].mean().unstack("seed")
     by_seed = by_seed.reindex(pd.MultiIndex.from_frame(cells[KEYS].drop_duplicates()))
     parts = [by_seed.reset_index(), _averages(by_seed, ["method", "dataset", "metric"]).assign(group="", scene=AVERAGE),
              _averages(by_seed, ["method", "metric"]).assign(dataset="", group="", scene=OVERALL)]  # fmt: skip
-    table = pd.concat(parts, ignore_index=True)
-    seeds = table[list(by_seed)]
-    return table[KEYS].assign(seeds=seeds.count(axis=1), std=seeds.std(axis=1))
+    return pd.concat(parts, ignore_index=True).set_index(KEYS)[list(by_seed)]
+
+
+def over_seeds(cells: pd.DataFrame) -> pd.DataFrame:
+    """Return KEYS, seeds (their number) and std (sample standard deviation; NaN below two) of `cell_rows`."""
+    seeds = seed_values(cells)
+    return pd.DataFrame({"seeds": seeds.count(axis=1), "std": seeds.std(axis=1)}).reset_index()
 
 
 def intervals(cells: Iterable[Cell]) -> pd.DataFrame:
@@ -110,56 +110,3 @@ def _averages(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
     groups = {key: group.to_numpy().T.copy().mean(axis=1) for key, group in rows.groupby(level=over, sort=False)}
     index = pd.MultiIndex.from_tuples(groups, names=over)
     return pd.DataFrame(list(groups.values()), index, rows.columns).reset_index()
-
-
-class MethodComparison(NamedTuple):
-    """A method against its baseline. paired: from `paired_tests`. speed: from `speed_table`."""
-
-    pair: MethodPair
-    paired: pd.DataFrame
-    speed: pd.DataFrame
-
-
-def compare_methods(main: pd.DataFrame) -> list[MethodComparison]:
-    """Compare every method of a main table with its baseline, where the table has both."""
-    there = [pair for pair in methods.pairs() if {*pair} <= {*main["method"]}]
-    return [MethodComparison(pair, paired_tests(main, pair), speed_table(main, pair)) for pair in there]
-
-
-def speed_ratios(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
-    """Return dataset, group, scene, ratio: hours over the baseline's, which compare between machines."""
-    hours = main[main["metric"] == HOURS.name]
-    wide = hours.pivot_table(index=["dataset", "group", "scene"], columns="method", values="value", sort=False)
-    if not set(pair) <= set(wide):
-        return pd.DataFrame(columns=["dataset", "group", "scene", "ratio"]).astype({"ratio": float})
-    return (wide[pair.method] / wide[pair.baseline]).rename("ratio").reset_index()
-
-
-def speed_table(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
-    """Return dataset, group, scene, ours, published: hours of the method over those of its baseline."""
-    ours = speed_ratios(main, pair).rename(columns={"ratio": "ours"})
-    published = speed_ratios(published_main(), pair).rename(columns={"ratio": "published"})
-    return ours.merge(published, on=["dataset", "group", "scene"], how="left")
-
-
-def paired_tests(main: pd.DataFrame, pair: MethodPair) -> pd.DataFrame:
-    """Return metric, scenes, better, p, image_values of tests over scenes that a method is better.
-
-    p: of Wilcoxon's one-sided signed-rank test.
-    """
-    single = main[~main["scene"].isin((AVERAGE, OVERALL))]
-    rows = []
-    for metric, group in single[~single["metric"].isin(TRAINING)].groupby("metric", sort=False):
-        wide = group.pivot_table(index=["dataset", "scene"], columns="method", values="value", sort=False)
-        if not set(pair) <= set(wide):
-            continue
-        both = wide[list(pair)].dropna()
-        gains = gain(str(metric), both[pair.method], both[pair.baseline])
-        p = float("nan")
-        if len(gains) >= 5 and (gains != 0).any():  # with fewer, no outcome could be below 5 %
-            from scipy.stats import wilcoxon  # takes half a second to import, and most runs do without
-
-            p = float(wilcoxon(gains, alternative="greater").pvalue)
-        better, compared = int((gains > 0).sum()), group[group["method"].isin(pair) & group["value"].notna()]
-        rows.append([metric, len(gains), better, p, values_over_scenes(compared)])
-    return pd.DataFrame(rows, columns=["metric", "scenes", "better", "p", COLUMN])

@@ -3,6 +3,7 @@
 - `reproduced`: the 90 % interval of our mean (Student, 5 % on each side) lies within the margin around the published
   number.
 - `better`, `worse`: the interval lies entirely outside of the margin, on one side.
+- `not reproduced`: of one seed, whose distance is beyond the margin and any spread over seeds (`seed_spreads.yaml`).
 - `undecided`: anything else, with the number of seeds that would probably decide it.
 
 Each of the first three is wrong in at most 5 % of cases (docs/findings/verdicts.md). Print hides up to
@@ -27,13 +28,15 @@ from tdgbench.tables.between_papers import with_other_papers
 from tdgbench.tables.measures import HOURS, MEASURES, OVERALL, half_unit
 from tdgbench.tables.palette import COLUMN
 from tdgbench.tables.published import FOLDER
+from tdgbench.tables.seed_spreads import beyond_any_seed
 from tdgbench.tables.statistics import half_width
 
 ALPHA = 0.05  # of each one-sided test; the interval covers 1 − 2 ALPHA
 POWER = 0.8  # share of repetitions that `seeds_needed` seeds decide
 MOST_SEEDS = 100
 REPRODUCED, BETTER, WORSE, UNDECIDED = "reproduced", "better", "worse", "undecided"
-WORDS = (REPRODUCED, BETTER, WORSE, UNDECIDED)
+NOT_REPRODUCED = "not reproduced"  # by one seed
+WORDS = (REPRODUCED, BETTER, WORSE, NOT_REPRODUCED, UNDECIDED)
 NEVER, UNKNOWN = "n/a", "unknown"
 ONE_SEED = "one seed has no spread"
 
@@ -115,6 +118,8 @@ def judge_published(metric: str, scene: str, ours: float, published: float, std:
 
     >>> judge_published("psnr", "Truck", ours=26.3, published=26.28, std=0.05, seeds=3).verdict
     'reproduced'
+    >>> judge_published("psnr", "Truck", ours=4.3, published=26.28, std=float("nan"), seeds=1).verdict
+    'not reproduced'
     """
     nan = float("nan")
     margin = load_margins().get(metric, nan)
@@ -123,9 +128,11 @@ def judge_published(metric: str, scene: str, ours: float, published: float, std:
         return ScoreVerdict(UNDECIDED, nan, nan, nan, NEVER, why)
     if np.isnan(ours):
         return ScoreVerdict(UNDECIDED, margin, nan, nan, UNKNOWN, "no number of ours")
-    if seeds < 2 or np.isnan(std):
-        return ScoreVerdict(UNDECIDED, margin, nan, nan, UNKNOWN, ONE_SEED)
     rounding = half_unit(metric, scene)
+    if seeds < 2 or np.isnan(std):
+        if beyond_any_seed(metric, abs(ours - published) - margin - rounding):
+            return ScoreVerdict(NOT_REPRODUCED, margin, nan, nan, "", "")
+        return ScoreVerdict(UNDECIDED, margin, nan, nan, UNKNOWN, ONE_SEED)
     low, high = (float(end) for end in seeds_interval(ours, std, seeds))
     word = str(judge_score(low, high, published, rounding, margin, MEASURES[metric].higher_is_better))
     if word != UNDECIDED:

@@ -40,6 +40,7 @@ CHECKS = {
     "averages_follow": Check(table_checks.averages_follow),
     "bold_follows": Check(table_checks.bold_follows),
     "better": Check(cell_checks.better, ("methods", "against", "margins"), of_tables=False),
+    "better_at_equal_size": Check(cell_checks.better_at_equal_size, ("methods", "against", "margins"), of_tables=False),
     "better_average": Check(cell_checks.better_average, ("metrics",), of_tables=False),
     "better_init": Check(cell_checks.better_init, ("methods", "better", "margins"), of_tables=False),
     "random_fails": Check(cell_checks.random_fails, ("methods", "drop"), of_tables=False),

@@ -49,6 +49,13 @@ def better(claim: Claim, evidence: ClaimEvidence) -> Finding:
     return _compare(claim, evidence, sides)
 
 
+def better_at_equal_size(claim: Claim, evidence: ClaimEvidence) -> Finding:
+    """Check as `better` by cells that have the number of Gaussians that was asked for, of those that render thermal."""
+    if not evidence.printed and not evidence.equal_sized:
+        raise MissingError("no cells of ours at equal numbers of Gaussians (+experiment=capacity)")
+    return better(claim, replace(evidence, cells=evidence.equal_sized))
+
+
 def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method beats its baseline in the mean of each of `metrics`, as printed or over cells."""
     if evidence.printed:

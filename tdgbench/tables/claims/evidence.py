@@ -14,7 +14,7 @@ from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import Record, no_records
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
-from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages, with_bold
+from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages
 from tdgbench.tables.measures import AVERAGE, OVERALL
 from tdgbench.tables.results import Cell, read_results
 
@@ -94,7 +94,8 @@ class ClaimEvidence:
     """A main table (method, dataset, group, scene, metric, value, bold) and an ablation (method, init, metric, value).
 
     printed: whether the values were rounded for print, so that each is known to half a unit only. cells: the cells
-    behind our tables. note: the cells of the main table, in words.
+    behind our tables. note: the cells of the main table, in words. equal_sized: cells that have the number of Gaussians
+    that was asked for; no table and no other claim reads them.
     """
 
     main: pd.DataFrame
@@ -102,6 +103,7 @@ class ClaimEvidence:
     printed: bool
     cells: tuple[Cell, ...] = ()
     note: str = ""
+    equal_sized: tuple[Cell, ...] = ()
 
     @property
     def overall(self) -> str:
@@ -129,10 +131,13 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
         if not results.cells:
             raise no_records(folder)
         cells += [cell for cell in results.finished if _is_plain(cell.record)]
+    sized = [cell for cell in cells if cell.record.setting("budget.gaussians") is not None]
+    equal = [c for c in sized if c.record.gaussians.get("thermal") == c.record.setting("budget.gaussians")]
+    cells = [cell for cell in cells if cell not in sized]
     chosen = as_published(cells)
     plan = Plan(methods=list(methods.paper_pair()) if chosen else [])
     rows = scene_rows(cell_rows([replace(cell.record, variant="") for cell in chosen], plan))
-    return ClaimEvidence(with_bold(with_averages(rows)), None, False, tuple(cells), _lengths(chosen))
+    return ClaimEvidence(with_averages(rows), None, False, tuple(cells), _lengths(chosen), tuple(equal))
 
 
 def as_published(cells: Sequence[Cell]) -> list[Cell]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import pytest
 
 from tdgbench.tables.claims import check_claim, load_claims
-from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEvidence
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEvidence, evidence_of
 from tdgbench.tables.published import published_ablation, published_main
+from tests.helpers.records import write_record
 from tests.tables.claims.small_cells import cell
 
 CLAIMS = {claim.id: claim for claim in load_claims()}
@@ -63,6 +65,25 @@ def test_claims_that_compare_methods(tmp_path, name, gains, verdict):
 def test_the_paper_prints_none_of_it(name):
     found = check_claim(CLAIMS[name], PUBLISHED)
     assert found.verdict == UNDECIDED and found.grounds == f"the paper prints no {CLAIMS[name].unprinted}"
+
+
+def test_only_cells_of_equal_size_decide_what_depth_saves(tmp_path):
+    def sized(gain, number, had):
+        place = tmp_path / f"{gain}-{had}"
+        for method, scene in product(("tdg", "3dgs_smooth", "msmg"), "abc"):
+            record = cell(tmp_path, method, gain * (method == "tdg"), scene=scene).record
+            record.config["budget"]["gaussians"], record.parts["thermal"]["gaussians"] = number, had
+            write_record(place, record, {})
+        return evidence_of([place])
+
+    claim = CLAIMS["depth-saves-gaussians"]
+    found = check_claim(claim, sized(1.0, 600, 600))
+    assert found.verdict == HOLDS and "3 pairs in 3 scenes" in found.grounds
+    assert check_claim(claim, sized(-1.0, 600, 600)).verdict == FAILS
+    for evidence in (sized(1.0, 600, 599), sized(2.0, None, 600)):
+        assert "no cells of ours at equal numbers" in check_claim(claim, evidence).grounds
+    assert check_claim(CLAIMS["depth-better"], sized(3.0, 600, 600)).grounds == "no cells of ours"
+    assert "score at an equal number" in check_claim(claim, PUBLISHED).grounds
 
 
 def test_lengths_are_judged_apart_and_all_have_to_hold(tmp_path):

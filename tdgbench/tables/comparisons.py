@@ -1,0 +1,193 @@
+"""Methods against one another over equal seeds: against a baseline, scene by scene, and against the best of a row.
+
+A difference is decided (`better`, `worse`) where its 95 % Student interval over the seeds that both have excludes 0 and
+leaves the margin within which scores count as equal (`margins.yaml`; half a unit of print for the others). Anything
+else is `undecided`; one seed decides nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from tdgbench.tables import methods
+from tdgbench.tables.equal_data import equal_scenes
+from tdgbench.tables.long_table import method_label
+from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, MEASURES, OVERALL, PUBLISHED, TRAINING, gain, half_unit
+from tdgbench.tables.methods import MethodPair
+from tdgbench.tables.palette import COLUMN, values_over_scenes
+from tdgbench.tables.results import Cell
+from tdgbench.tables.statistics import mean_interval, seed_values
+from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE, load_margins
+
+BOLD_NOTE = (
+    "bold: the best, and all that seeds cannot tell from it (95 % interval of the difference, margin); "
+    "none where a method has one seed"
+)
+FEWEST_SCENES = 5  # of a test over scenes: with fewer, no outcome could be below 5 %
+
+
+class Change(NamedTuple):
+    """Change from a baseline to a method over the seeds that both have.
+
+    new, old: means of the method and of its baseline (NaN without a common seed). change: the mean difference, or for
+    times and sizes the ratio. ci95: its interval, NaN for one seed. verdict: on the method.
+    """
+
+    new: float
+    old: float
+    change: float
+    ci95_low: float
+    ci95_high: float
+    seeds: int
+    verdict: str
+
+
+class MethodComparison(NamedTuple):
+    """A method against its baseline. changes: KEYS but method, fields of Change. paired: from `paired_tests`."""
+
+    pair: MethodPair
+    changes: pd.DataFrame
+    paired: pd.DataFrame
+
+
+def margin_of(metric: str) -> float:
+    """Return the difference up to which two scores count as equal: the margin of published ones, else print's."""
+    return load_margins().get(metric, half_unit(metric))
+
+
+def change_over_seeds(metric: str, new: np.ndarray, old: np.ndarray) -> Change:
+    """Compare two methods' numbers (N,), by seed; NaN where a seed is missing.
+
+    >>> change_over_seeds("psnr", np.array([21.0, 21.4, 21.2]), np.array([20.0, 20.2, 20.1])).verdict
+    'better'
+    >>> change_over_seeds("psnr", np.array([21.0]), np.array([20.0])).verdict
+    'undecided'
+    """
+    ratio = MEASURES[metric].ratio
+    with np.errstate(invalid="ignore", divide="ignore"):
+        values = np.log(new / old) if ratio else new - old
+    both = np.isfinite(values)
+    if not both.any():
+        nan = float("nan")
+        return Change(nan, nan, nan, nan, nan, 0, UNDECIDED)
+    mean, low, high = mean_interval(values[both])
+    margin = 0.0 if ratio else margin_of(metric)
+    decided = (low > 0 or high < 0) and not (-margin <= low and high <= margin)
+    verdict = UNDECIDED if not decided else BETTER if gain(metric, mean, 0.0) > 0 else WORSE
+    mean, low, high = np.exp([mean, low, high]).tolist() if ratio else (mean, low, high)
+    return Change(float(new[both].mean()), float(old[both].mean()), mean, low, high, int(both.sum()), verdict)
+
+
+def told_apart(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.ndarray:
+    """Return whether each method (N,) bool is the best, or cannot be told from it: those that a table prints bold.
+
+    values: means (N,), NaN for n/a. by_seed: (N, S), NaN where a method lacks the seed. None is, unless each method
+    has two seeds in common with the best.
+
+    >>> seeds = np.array([[20.0, 20.2], [30.0, 30.1], [30.0, 30.3]])
+    >>> told_apart("psnr", seeds.mean(axis=1), seeds).tolist()
+    [False, True, True]
+    """
+    known = np.flatnonzero(~np.isnan(values))
+    marks = np.zeros(len(values), dtype=bool)
+    if len(known) < 2:
+        return marks
+    best = max(known, key=lambda i: gain(metric, values[i], 0.0))
+    changes = {i: change_over_seeds(metric, by_seed[i], by_seed[best]) for i in known if i != best}
+    if any(change.seeds < 2 for change in changes.values()):
+        return marks
+    marks[[best, *(i for i, change in changes.items() if change.verdict == UNDECIDED)]] = True
+    return marks
+
+
+def with_bold(rows: pd.DataFrame, by_seed: pd.DataFrame, within: Sequence[str]) -> pd.DataFrame:
+    """Return the rows with the column `bold`: which are `told_apart` among those of equal metric and `within`.
+
+    by_seed: the rows' values by seed, with their index. Rows of unlike trainings (column `training`) are no rivals.
+    """
+    bold = pd.Series(False, rows.index)
+    for _, rivals in rows.groupby([*within, "metric", *(["training"] if "training" in rows else [])], sort=False):
+        values, seeds = rivals["value"].to_numpy(float), by_seed.loc[rivals.index].to_numpy(float)
+        bold[rivals.index] = told_apart(rivals["metric"].iloc[0], values, seeds)
+    return rows.assign(bold=bold)
+
+
+def compare_methods(cells: pd.DataFrame, main: pd.DataFrame, finished: Sequence[Cell]) -> list[MethodComparison]:
+    """Compare every method of a main table with its baseline (`methods.baselines`), where the table has both.
+
+    cells: `cell_rows`. finished: the cells behind them. Scenes of equal data count once, those of unlike trainings
+    (column `training` of main) not at all, and times only of seeds for which one machine ran both methods.
+    """
+    equal = equal_scenes(cell.record for cell in finished)
+    once = [place not in equal for place in zip(cells["dataset"], cells["scene"], strict=True)]
+    counted = cells[np.array(once, dtype=bool) & ~cells["metric"].isin(TRAINING)]
+    scored = main.loc[main["metric"].isin(PUBLISHED) & main["value"].notna(), "method"].unique()
+    # a baseline without scores is compared with only where no pair has them, to say why
+    pairs = methods.baselines(scored) or methods.baselines(main["method"].unique())
+    return [_compare(pair, counted, main, finished) for pair in pairs]
+
+
+def _compare(pair: MethodPair, cells: pd.DataFrame, main: pd.DataFrame, finished: Sequence[Cell]) -> MethodComparison:
+    both, unlike = cells[cells["method"].isin(pair)], _unlike(pair, main, finished)
+    places = zip(both["dataset"], both["scene"], both["seed"], both["metric"] == HOURS.name, strict=True)
+    dropped = np.array([(d, s) in unlike or (timed and (d, s, seed) in unlike) for d, s, seed, timed in places], bool)
+    by_seed = seed_values(both.assign(value=both["value"].where(~dropped)))
+    new, old = (by_seed.xs(method, level="method") for method in pair)
+    rows = [
+        [*place, *change_over_seeds(place[-1], new.loc[place].to_numpy(float), old.loc[place].to_numpy(float))]
+        for place in new.index
+    ]
+    changes = pd.DataFrame(rows, columns=[*KEYS[1:], *Change._fields])
+    return MethodComparison(pair, changes, paired_tests(changes, main[main["method"].isin(pair)]))
+
+
+def _unlike(pair: MethodPair, main: pd.DataFrame, finished: Sequence[Cell]) -> set[tuple[object, ...]]:
+    """Return (data set, scene) of unlike trainings, and (data set, scene, seed) whose times are of two machines."""
+    unlike: set[tuple[object, ...]] = set()
+    if "training" in main:
+        scores = main[main["method"].isin(pair) & (main["metric"] == PUBLISHED[0])]
+        kinds = scores.groupby(["dataset", "scene"])["training"].nunique()
+        unlike |= set(kinds.index[kinds > 1])
+    machines: dict[tuple[object, ...], set[tuple[str, ...]]] = {}
+    for cell in finished:
+        if method_label(cell.record, with_init=True) in pair:
+            machines.setdefault((*cell.dataset_and_scene, cell.record.seed), set()).add(cell.machine)
+    return unlike | {place for place, found in machines.items() if len(found) > 1}
+
+
+def paired_tests(changes: pd.DataFrame, main: pd.DataFrame) -> pd.DataFrame:
+    """Return metric, scenes, better, worse, undecided, p, image_values: over scenes, how a method compares.
+
+    changes: of a MethodComparison. main: rows of both methods. p: of Wilcoxon's one-sided signed-rank test that the
+    method is better, of the changes' means; NaN below FEWEST_SCENES.
+    """
+    rows = []
+    for metric, group in changes[~changes["scene"].isin((AVERAGE, OVERALL))].groupby("metric", sort=False):
+        known, p = group.dropna(subset="change"), float("nan")
+        if known.empty:
+            continue
+        gains = gain(str(metric), np.log(known["change"]) if MEASURES[str(metric)].ratio else known["change"], 0.0)
+        if len(known) >= FEWEST_SCENES and (gains != 0).any():
+            from scipy.stats import wilcoxon  # takes half a second to import, and most runs do without
+
+            p = float(wilcoxon(gains, alternative="greater").pvalue)
+        counts = [int((known["verdict"] == word).sum()) for word in (BETTER, WORSE, UNDECIDED)]
+        compared = main[(main["metric"] == metric) & main["scene"].isin(known["scene"]) & main["value"].notna()]
+        rows.append([metric, len(known), *counts, p, values_over_scenes(compared)])
+    return pd.DataFrame(rows, columns=["metric", "scenes", BETTER, WORSE, UNDECIDED, "p", COLUMN])
+
+
+def comparison_tables(comparisons: Iterable[MethodComparison]) -> dict[str, pd.DataFrame]:
+    """Return the tables `compared` (every change) and `paired` (tests over scenes) of all pairs; none without any."""
+    found = list(comparisons)
+    names = [dict(zip(("method", "baseline"), one.pair, strict=True)) for one in found]
+    tables = {"compared": [one.changes for one in found], "paired": [one.paired for one in found]}
+    return {
+        name: pd.concat([t.assign(**who)[[*who, *t]] for who, t in zip(names, parts, strict=True)], ignore_index=True)
+        for name, parts in tables.items()
+        if any(len(part) for part in parts)
+    }

@@ -1,0 +1,45 @@
+"""Scenes that are one: their test images have equal bytes, so they are no evidence beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from tdgbench.cells.folder import TARGETS
+from tdgbench.cells.record import Record
+
+Place = tuple[str, str]  # data set, scene
+
+
+def equal_scenes(records: Iterable[Record]) -> dict[Place, Place]:
+    """Return each scene whose test images are those of a scene before it, with that scene.
+
+    >>> a, b = (Record("tdg", "folder", name, "", 0, "", "", truth={f"{name}.png": "0" * 64}) for name in "ab")
+    >>> equal_scenes([a, b])
+    {('folder', 'b'): ('folder', 'a')}
+    """
+    first: dict[frozenset[str], Place] = {}
+    equal: dict[Place, Place] = {}
+    for record in records:
+        stored = {sha for name, sha in record.hashes.items() if name.startswith(f"{TARGETS}/")}
+        truth, place = frozenset(record.truth.values() or stored), (record.dataset, record.scene)
+        if truth and first.setdefault(truth, place) != place:
+            equal.setdefault(place, first[truth])
+    return equal
+
+
+def equal_in_words(twin: Place, first: Place) -> str:
+    """Return the sentence on a scene that equals another one, of data that no table counts."""
+    return (f"{'/'.join(twin)} has the test images of {'/'.join(first)}, byte by byte: they are no evidence beside "
+            "each other, and a mean of both counts them twice")  # fmt: skip
+
+
+def equal_data_notes(equal: Mapping[Place, Place]) -> list[str]:
+    """Return a sentence for each scene with the names of those that equal it."""
+    twins: dict[Place, list[str]] = {}
+    for (dataset, scene), first in equal.items():
+        twins.setdefault(first, []).append(f"{dataset}/{scene}")
+    return [
+        f"{', '.join(names)} {'has' if len(names) == 1 else 'have'} the test images of {dataset}/{scene}, byte by "
+        "byte: counts, p and differences have them once; the table's averages have each"
+        for (dataset, scene), names in twins.items()
+    ]

@@ -1,0 +1,117 @@
+"""Methods against one another over seeds: what is decided, what is bold, and the test over scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from tdgbench.cells.plan import Plan
+from tdgbench.tables import methods
+from tdgbench.tables.build import build_tables
+from tdgbench.tables.comparisons import change_over_seeds, compare_methods, paired_tests, told_apart
+from tdgbench.tables.long_table import cell_rows
+from tdgbench.tables.published import published_main
+from tdgbench.tables.results import read_results
+from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE
+from tests.helpers.records import write
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("metric", "new", "old", "verdict"),
+    [
+        ("psnr", [21.0, 21.2, 21.1], [20.0, 20.1, 20.2], BETTER),
+        ("psnr", [19.0, 19.2, 19.1], [20.0, 20.1, 20.2], WORSE),
+        ("psnr", [21.37 - 0.6, 21.37, 21.37 + 0.6], [21.13 + 0.8, 21.13, 21.13 - 0.8], UNDECIDED),
+        ("psnr", [40.48] * 3, [40.47] * 3, UNDECIDED),  # sure, but within the margin of 0.2 dB
+        ("psnr", [41.0], [20.0], UNDECIDED),  # of one seed
+        ("psnr", [41.0, NAN], [20.0, 20.1], UNDECIDED),
+        ("lpips", [0.1, 0.101], [0.2, 0.201], BETTER),
+        ("floaters", [0.2, 0.21, 0.2], [0.1, 0.11, 0.1], WORSE),  # has no margin but print's
+        ("train_hours", [0.5, 0.51, 0.5], [1.0, 1.0, 1.01], BETTER),
+        ("train_hours", [0.5, 1.5, 1.0], [1.0, 1.0, 1.0], UNDECIDED),
+    ],
+)
+def test_verdicts(metric, new, old, verdict):
+    found = change_over_seeds(metric, np.array(new), np.array(old))
+    assert found.verdict == verdict
+    assert np.isnan(found.ci95_low) == (found.seeds < 2)
+
+
+def test_the_interval_is_students_of_paired_seeds():
+    new, old = np.array([21.0, NAN, 21.5, 21.1]), np.array([20.0, 20.0, 20.1, 20.4])
+    found, gains = change_over_seeds("psnr", new, old), np.array([1.0, 1.4, 0.7])
+    low, high = stats.t.interval(0.95, 2, gains.mean(), stats.sem(gains))
+    assert found[2:6] == pytest.approx((gains.mean(), low, high, 3))
+    hours = change_over_seeds("train_hours", np.array([1.0, 2.0]), np.array([2.0, 8.0]))
+    assert hours.change == pytest.approx(np.sqrt(0.5 * 0.25)) and hours[:2] == (1.5, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("metric", "by_seed", "bold"),
+    [
+        ("psnr", [[20.0, 20.1], [30.0, 30.1]], [False, True]),
+        ("lpips", [[0.2, 0.21], [0.3, 0.31]], [True, False]),
+        ("psnr", [[30.0, 30.1], [30.0, 30.1], [20.0, 20.1]], [True, True, False]),  # equal to the last bit
+        ("psnr", [[30.0, 30.9], [30.5, 30.1], [20.0, 20.1]], [True, True, False]),
+        ("psnr", [[30.0, NAN], [20.0, NAN]], [False, False]),  # one seed
+        ("psnr", [[30.0, 30.1], [20.0, NAN]], [False, False]),  # how far the other's seeds lie apart is not known
+        ("psnr", [[30.0, 30.1], [NAN, NAN]], [False, False]),  # nothing to be better than
+    ],
+)
+def test_bold_is_the_best_and_what_cannot_be_told_from_it(metric, by_seed, bold):
+    seeds = np.array(by_seed)
+    values = np.array([row[~np.isnan(row)].mean() if not np.isnan(row).all() else NAN for row in seeds])
+    assert told_apart(metric, values, seeds).tolist() == bold
+
+
+def changes_of(table: pd.DataFrame) -> pd.DataFrame:
+    wide = table.pivot_table(index=["dataset", "scene", "metric"], columns="method", values="value").reset_index()
+    rows = [change_over_seeds(r.metric, np.array([r.tdg]), np.array([r.msmg])) for r in wide.itertuples()]
+    return pd.concat([wide, pd.DataFrame(rows)], axis=1)
+
+
+def test_the_test_over_scenes_is_scipys():
+    table = published_main().query("not scene.str.contains('Average')")
+    found = paired_tests(changes_of(table), table).set_index("metric")
+    psnr = table.query("metric == 'psnr'").pivot(index=["dataset", "scene"], columns="method", values="value")
+    want = stats.wilcoxon(psnr["tdg"], psnr["msmg"], alternative="greater").pvalue
+    assert found.loc["psnr", "p"] == pytest.approx(want)
+    assert found.loc["psnr", ["scenes", "better", "worse", "undecided"]].tolist() == [14, 0, 0, 14]  # of one seed
+    few = table[table["scene"].isin(["Truck", "Lion"])]
+    assert paired_tests(changes_of(few), few)["p"].isna().all()
+
+
+def test_the_baseline_is_the_one_that_is_there():
+    """MSMG needs RGB images: on a capture without any, TDg is compared with 3DGS."""
+    columns = ["3dgs", "tdg", "msmg (random)", "tdg (random)", "3dgs (random)", "ommg [budget=lean]"]
+    assert methods.baselines(columns) == [
+        ("msmg (random)", "3dgs (random)"), ("tdg", "3dgs"), ("tdg (random)", "msmg (random)"),
+    ]  # fmt: skip
+
+
+def test_a_baseline_without_results_is_not_compared_with(tmp_path):
+    for method in ("tdg", "3dgs"):
+        for seed in (0, 1):
+            write(tmp_path, method, "attic", "folder", seed=seed, scores={"psnr": 20.0 + seed + (method == "tdg")})
+    Plan(methods=["msmg", "tdg", "3dgs"]).write(tmp_path)
+    found = build_tables(tmp_path).findings
+    assert found[0].startswith("TDg against 3DGS on attic: PSNR 21.50 against 20.50 (+1.00 dB [+1.00, +1.00], better)")
+
+
+def test_unlike_trainings_and_machines_are_not_compared(tmp_path):
+    for method in ("tdg", "msmg"):
+        for seed in (0, 1, 2):
+            threads = 2 if (method, seed) == ("tdg", 2) else 1
+            write(tmp_path, method, "orbit", "synthetic", seed=seed, environment={"threads": threads})
+            write(tmp_path, method, "night", "synthetic", seed=seed, environment={"threads": threads})
+    results = read_results(tmp_path)
+    cells, main = cell_rows(results.records, results.plan), build_tables(tmp_path).main
+    kinds = {("tdg", "night"): "iterations: 400"}
+    main["training"] = [kinds.get(place, "") for place in zip(main["method"], main["scene"], strict=True)]
+    changes = compare_methods(cells, main, results.finished)[0].changes.set_index(["scene", "metric"])
+    assert changes.loc[("orbit", "psnr"), "seeds"] == 3 and changes.loc[("orbit", "train_hours"), "seeds"] == 2
+    assert changes.loc[("night", "psnr"), "seeds"] == changes.loc[("Average", "psnr"), "seeds"] == 0
