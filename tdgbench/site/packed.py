@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import shlex
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
+from tdgbench.cells.folder import hashes_of_content
 from tdgbench.cells.paths import folder_name
 from tdgbench.cells.plan import Plan, read_plan
 from tdgbench.cells.protocol import MEASURED_ON, protocol_settings
@@ -19,14 +22,16 @@ from tdgbench.packs import manifest, unpacked
 from tdgbench.packs.checklist import Item, checklist
 from tdgbench.packs.manifest import Manifest
 from tdgbench.present.grid import GridCell
+from tdgbench.site.budgets import training_in_words
 from tdgbench.tables.build import Tables, build_tables
 from tdgbench.tables.grids import SCENE_KEYS
-from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import AVERAGE, OVERALL
+from tdgbench.tables.long_table import method_label, metric_value
+from tdgbench.tables.measures import AVERAGE, COLUMNS, MEASURES, OVERALL
 from tdgbench.tables.palette import image_values
 from tdgbench.tables.results import Cell
 
 AVERAGES = (AVERAGE, OVERALL)
+HEADS = [MEASURES[name].title for name in COLUMNS]
 
 
 @dataclass(frozen=True)
@@ -58,16 +63,14 @@ class Pack:
                  ("unpack", file, f"results/{self.manifest.experiment}")]  # fmt: skip
         return [shlex.join(["tdgbench", *one]) for one in words]
 
-    def mean_of(self, dataset: str) -> str:
-        """Return the scenes that averages of a data set are over."""
-        return ", ".join(sorted({cell.record.scene for cell in self.cells if cell.record.dataset == dataset}))
-
 
 @dataclass(frozen=True)
 class BoardRow:
     """A row of a leaderboard: a method's column on one scene, or on average over those of a pack.
 
-    settings: of its protocol. scores: of each of COLUMNS.
+    settings: of its protocol. scores: of each of COLUMNS. truths: numbers of `truth_groups`, of its cells. ranks: best
+    and worst one among its rivals of all packs, see `ranked`; None for the reason in `unranked`. twin: another pack
+    with the same cells.
     """
 
     pack: Pack
@@ -77,13 +80,20 @@ class BoardRow:
     scene: str
     method: str
     column: str  # the method with its points and overrides
-    records: list[Record]
+    cells: list[Cell]
     scores: tuple[GridCell, ...]
-    truths: frozenset[int] = frozenset()  # numbers of `truth_groups`, of its cells
+    truths: frozenset[int] = frozenset()
+    ranks: tuple[int, int] | None = None
+    unranked: str = "no other row to compare with"
+    twin: str = ""
 
     @property
     def is_average(self) -> bool:
         return self.scene in AVERAGES
+
+    @property
+    def records(self) -> list[Record]:
+        return [cell.record for cell in self.cells]
 
     @property
     def image_values(self) -> str:
@@ -91,14 +101,71 @@ class BoardRow:
         return image_values(self.records)
 
     @property
-    def seeds(self) -> int:
-        return len({record.seed for record in self.records})
+    def rank(self) -> str:
+        return "–" if self.ranks is None else "–".join(dict.fromkeys(map(str, self.ranks)))
+
+    @property
+    def content(self) -> frozenset[str]:
+        """The files of its cells."""
+        hashes = [hashes_of_content(record.hashes) for record in self.records]
+        return frozenset(json.dumps(one, sort_keys=True) for one in hashes) if all(hashes) else frozenset()
+
+    @property
+    def scenes(self) -> list[str]:
+        return sorted({record.scene for record in self.records})
+
+    @property
+    def training(self) -> str:
+        """Its budget, in words."""
+        return joined(training_in_words(record) for record in self.records)
+
+    @cached_property
+    def facts(self) -> dict[str, str]:
+        """What readers ask of a row beside its scores, by the column's heading."""
+        ranges = {"n/a" if r.temperature_range is None else "{:.4g} to {:.4g}".format(*r.temperature_range)
+                  for r in self.records}  # fmt: skip
+        return {
+            "seeds": str(len({record.seed for record in self.records})),
+            "budget": joined(str(record.setting("budget.name") or "n/a") for record in self.records),
+            "iterations": joined(str(cell.planned_iterations) for cell in self.cells),
+            "size, px": joined(size_of(cell) for cell in self.cells),
+            "range, °C": "several" if len(ranges) > 1 else ranges.pop(),
+        }
+
+    @property
+    def prior(self) -> str:
+        return joined(str(record.setting("prior.name") or "") for record in self.records)
+
+    @property
+    def machines(self) -> set[tuple[str, ...]]:
+        """The hardware that its times are of."""
+        return {cell.machine for cell in self.cells}
 
     @property
     def measured_on(self) -> set[str]:
         """What the scores of its cells were measured on, as text."""
-        fields = [[r.data.split("-")[0], *(getattr(r, name) for name in MEASURED_ON)] for r in self.records]
+        fields = [[r.scene, r.data.split("-")[0], *(getattr(r, name) for name in MEASURED_ON)] for r in self.records]
         return {json.dumps([*values, sorted(self.truths)], sort_keys=True) for values in fields}
+
+    def by_seed(self, metric: str) -> dict[int, float]:
+        """Return a number of each seed that all scenes have, on average over them."""
+        values: dict[int, dict[str, float]] = {}
+        for record in self.records:
+            values.setdefault(record.seed, {})[record.scene] = metric_value(record, metric)[0]
+        return {seed: fmean(found.values()) for seed, found in values.items() if len(found) == len(self.scenes)}
+
+
+def joined(texts: Iterable[str]) -> str:
+    """Return the texts, each once."""
+    return ", ".join(dict.fromkeys(texts))
+
+
+def size_of(cell: Cell) -> str:
+    """Return the size of a cell's test views, px."""
+    try:
+        return joined(f"{camera.width}×{camera.height}" for camera in cell.test_cameras.values())
+    except (OSError, ValueError):
+        return "n/a"
 
 
 def scene_page(dataset: str, scene: str) -> str:
@@ -143,20 +210,21 @@ def rows_of(pack: Pack, truths: Mapping[Path, int]) -> list[BoardRow]:
 
     truths: `truth_groups` of the cells of all packs.
     """
-    protocols = pack.tables.main.set_index(SCENE_KEYS)["protocol"].to_dict()
+    protocols, heads = pack.tables.main.set_index(SCENE_KEYS)["protocol"].to_dict(), pack.tables.grid.columns
     scenes = {cell.dataset_and_scene for cell in pack.cells}
     in_dataset = Counter(dataset for dataset, _ in scenes)
     rows = []
     for row in pack.tables.grid.rows:
         dataset, scene, column = row.place
+        by_head = dict(zip(heads, row.cells, strict=True))
+        scores = tuple(by_head[head]._replace(bold=False) for head in HEADS)
         is_shown = in_dataset[dataset] > 1 if scene == AVERAGE else (dataset, scene) in scenes
-        if is_shown and any(cell.text != "n/a" for cell in row.cells):
+        if is_shown and any(cell.text != "n/a" for cell in scores):
             cells = [cell for cell in pack.cells if _is_behind(cell, dataset, scene, column)]
             first, found = cells[0].record, frozenset(truths[cell.folder] for cell in cells)
-            settings, records = protocol_settings(first.config), [cell.record for cell in cells]
             rows.append(
-                BoardRow(pack, protocols[row.place], settings, dataset, scene, first.method, column, records, row.cells,
-                         found)
+                BoardRow(pack, protocols[row.place], protocol_settings(first.config), dataset, scene, first.method,
+                         column, cells, scores, found)
             )  # fmt: skip
     return rows
 

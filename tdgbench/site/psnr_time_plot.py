@@ -9,16 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tdgbench.site.packed import BoardRow
+from tdgbench.site.ranking import OTHER_IMAGES
 from tdgbench.tables import methods
 from tdgbench.tables.measures import COLUMNS, HOURS
 from tdgbench.text import duration, shortened
 
-WIDTH, HEIGHT = 480, 260
-LEFT, RIGHT, TOP, BOTTOM = 40, 130, 12, 42  # margins, px; labels are on the right of points
+WIDTH, HEIGHT = 560, 260
+LEFT, RIGHT, TOP, BOTTOM = 40, 210, 12, 42  # margins, px; labels are on the right of points
 TICKS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000, 86400)  # s
 MOST_TICKS = 6  # of PSNR
 SHORTEST, LONGEST_TIME, LARGEST = 1e-3, 1e9, 1e300  # s, s, dB; records of others may hold any number: drawn at the ends
-LONGEST = 20  # characters of a label
+LONGEST = 32  # characters of a label
 TICK_WIDTH, LABEL_HEIGHT = 52, 15  # px
 PSNR, TIME = COLUMNS.index("psnr"), COLUMNS.index(HOURS.name)
 
@@ -55,6 +56,29 @@ class Frame(NamedTuple):
         return [(self.y(level), _text(level, 1 if step < 1 else 0)) for level in levels.tolist()]
 
 
+def plots(rows: Sequence[BoardRow]) -> list[dict[str, Any]]:
+    """Return a plot for each machine that ran several rows; none of rows of several scenes, or of other images."""
+    by_machine: dict[tuple[str, ...], list[BoardRow]] = {}
+    for row in rows:
+        if len(row.machines) == 1 and not row.twin:
+            by_machine.setdefault(next(iter(row.machines)), []).append(row)
+    if len({(row.scene, *row.scenes) for row in rows}) > 1 or any(row.unranked == OTHER_IMAGES for row in rows):
+        return []
+    drawn = [(machine, plot(of_machine)) for machine, of_machine in by_machine.items()]
+    where = rows[0].scene if len(rows[0].scenes) == 1 else f"the mean of {', '.join(rows[0].scenes)}"
+    return [{**found, "where": where, "machine": machine_in_words(machine)} for machine, found in drawn if found]
+
+
+def machine_in_words(machine: tuple[str, ...]) -> str:
+    """Return the hardware of `Cell.machine`.
+
+    >>> machine_in_words(("Xeon", "None", "2"))
+    'Xeon, threads: 2'
+    """
+    cpu, gpu, threads = machine
+    return f"{cpu if gpu == 'None' else gpu}, threads: {threads}"
+
+
 def plot(rows: Sequence[BoardRow]) -> dict[str, Any] | None:
     """Return points and ticks of PSNR against time (logarithmic); None where fewer than two rows have both."""
     known = [row for row in rows if row.scores[PSNR].sort != "" and _seconds(row) > 0]
@@ -64,7 +88,8 @@ def plot(rows: Sequence[BoardRow]) -> dict[str, Any] | None:
     frame = _frame(np.array(seconds), np.array(psnr))
     places = [(frame.x(s), frame.y(p)) for s, p in zip(seconds, psnr, strict=True)]
     points = [
-        {"x": place[0], "y": place[1], "label_y": label, "name": shortened(methods.label(row.column), LONGEST),
+        {"x": place[0], "y": place[1], "label_y": label,
+         "name": shortened(f"{methods.label(row.column)}, {row.pack.name}", LONGEST),
          "title": f"{methods.label(row.column)}, {row.pack.name}: {_text(_psnr(row), 2)} dB in "
                   f"{duration(_seconds(row))}"}
         for row, place, label in zip(known, places, _spread([place[1] for place in places]), strict=True)

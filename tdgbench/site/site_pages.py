@@ -3,44 +3,51 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Sequence
+from math import inf, isnan
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from tdgbench.cells.ground_truth import truth_groups
 from tdgbench.cells.key import flat
+from tdgbench.cells.record import Record
 from tdgbench.files import whole_folder
 from tdgbench.packs.manifest import SHOWN
 from tdgbench.present.html import environment
-from tdgbench.report.report_page import environments, legend
+from tdgbench.report.report_page import legend
+from tdgbench.report.run_facts import environments
 from tdgbench.resources import conf_folder
-from tdgbench.site.packed import BoardRow, Pack, method_page, rows_of, scene_page
+from tdgbench.site.budgets import training_in_words
+from tdgbench.site.packed import HEADS, BoardRow, Pack, joined, method_page, rows_of, scene_page
 from tdgbench.site.picture_cards import cards_of, files_of_cards
-from tdgbench.site.psnr_time_plot import plot
+from tdgbench.site.psnr_time_plot import plots
+from tdgbench.site.ranking import OTHER_IMAGES, ranked
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows, doubts_of
 from tdgbench.tables.claims import judge_claims, load_claims
 from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
-from tdgbench.tables.measures import COLUMNS, MEASURES
+from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
+from tdgbench.tables.long_table import method_label, metric_value
+from tdgbench.tables.measures import COLUMNS, MEASURES, as_text
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
 from tdgbench.tables.results import Cell
 
-HEADS = [MEASURES[name].title for name in COLUMNS]
 
-
-def write_site(packs: Sequence[Pack], folder: Path) -> int:
+def write_site(packs: Sequence[Pack], folder: Path, title: str = "") -> int:
     """Write the pages of packs into a new folder, whole or not at all; return their number.
 
-    Raises FileExistsError if the folder is there, and ValueError without a finished cell.
+    title: default names the data sets. Raises FileExistsError if the folder is there, and ValueError without a finished
+    cell.
     """
     if folder.exists():
         raise FileExistsError(f"{folder} is there already; remove it, or name a new folder")
     truths = truth_groups(cell for pack in packs for cell in pack.cells)
-    rows = [row for pack in packs for row in rows_of(pack, truths)]
+    rows = ranked(row for pack in packs for row in rows_of(pack, truths))
     if not rows:
         raise ValueError("the packs hold no finished cell")
-    site = _Site(packs, rows)
+    site = _Site(packs, rows, title or f"Thermal Gaussian splatting on {joined(sorted(r.dataset for r in rows))}")
     with whole_folder(folder) as part:
         for place, content in sorted(site.files().items()):
             path = part / place
@@ -52,11 +59,12 @@ def write_site(packs: Sequence[Pack], folder: Path) -> int:
 class _Site:
     """The files of a site, made from packs and rows of their leaderboards."""
 
-    def __init__(self, packs: Sequence[Pack], rows: Sequence[BoardRow]) -> None:
+    def __init__(self, packs: Sequence[Pack], rows: Sequence[BoardRow], title: str) -> None:
         self.packs, self.rows, self.pages = packs, rows, 0
         self.environment = environment("tdgbench.site")
         self.environment.filters["link"] = quote
         self.environment.globals.update(
+            site_title=title,
             heads=HEADS,
             label=methods.label,
             scene_page=scene_page,
@@ -68,8 +76,12 @@ class _Site:
 
     def files(self) -> dict[str, bytes]:
         """Return the content of every file by its place."""
+        scenes: dict[str, list[str]] = {}
+        for dataset, scene in sorted({(row.dataset, scene) for row in self.rows for scene in row.scenes}):
+            scenes.setdefault(dataset, []).append(scene)
         files = {"index.html": self._page("index.html.j2", "", boards=boards_of(self.rows), packs=self.packs,
-                                          legend=legend(self.packs[0].tables))}  # fmt: skip
+                                          legend=legend(self.packs[0].tables), data=scenes,
+                                          equal=equal_data(self.packs).values())}  # fmt: skip
         for name in ("site.css", "site.js"):
             files[name] = self.environment.get_template(f"{name}.j2").render().encode()
         for dataset, scene in sorted({(row.dataset, row.scene) for row in self.rows if not row.is_average}):
@@ -86,7 +98,7 @@ class _Site:
             files[pack.page] = self._page(
                 "pack.html.j2", "../", pack=pack, environments=environments(pack.tables.records),
                 notes=_notes(pack.cells), doubts=doubts_of(cell.record for cell in pack.cells),
-                failures=[r for r in pack.tables.records if r.failure is not None],
+                cells=cell_rows(pack.tables.records), reasons=reasons_of(pack.tables.records),
                 boards=boards_of([row for row in self.rows if row.pack is pack]),
             )  # fmt: skip
         return files
@@ -100,7 +112,7 @@ class _Site:
                  if cell.dataset_and_scene == (dataset, scene)]  # fmt: skip
         page = self._page("scene.html.j2", "../../", dataset=dataset, scene=scene, sections=sections,
                           assumed=assumed_rows(cells), doubts=doubts_of(record for _, record in cells),
-                          boards=boards_of(rows))  # fmt: skip
+                          boards=boards_of(rows), equal=equal_data(self.packs).get((dataset, scene)))  # fmt: skip
         return {scene_page(dataset, scene): page, **files}
 
     def _page(self, template: str, root: str, **content: Any) -> bytes:
@@ -113,20 +125,31 @@ class _Site:
 
 
 def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
-    """Return the leaderboards of rows, one for each protocol and data set: settings, rows, plot of the averages."""
-    groups: dict[tuple[str, str], list[BoardRow]] = {}
+    """Return the leaderboards of rows, one for each data set, protocol and budget: settings, rows, plots of a scene."""
+    groups: dict[tuple[str, str, str], list[BoardRow]] = {}
     for row in rows:
-        groups.setdefault((row.dataset, row.protocol), []).append(row)
+        groups.setdefault((row.dataset, row.protocol, row.training), []).append(row)
     boards = []
-    for (dataset, protocol), group in sorted(groups.items()):
-        group.sort(key=lambda row: (not row.is_average, row.scene, methods.rank(row.column), row.pack.page))
-        averages = [row for row in group if row.is_average]
-        settings = {name: json.dumps(value) for name, value in group[0].settings.items()}
+    for (dataset, protocol, training), group in sorted(groups.items()):
+        group.sort(key=lambda row: (not row.is_average, row.scene, row.scenes, *_place(row)))
+        averages = Counter(tuple(row.scenes) for row in group if row.is_average)
+        widest = list(averages.most_common(1)[0][0]) if averages else group[0].scenes
+        facts = list(group[0].facts)
         boards.append({
-            "dataset": dataset, "protocol": protocol, "rows": group, "settings": settings,
-            "plot": plot(averages or group), "mixed": mixed_scenes(group), "palette": palette_in_words(group),
+            "dataset": dataset, "protocol": protocol, "training": training, "rows": group,
+            "settings": {name: json.dumps(value) for name, value in group[0].settings.items()},
+            "facts": [name for name in facts if any(row.facts[name] != "n/a" for row in group)],
+            "plots": plots([row for row in group if row.scenes == widest] if averages else group),
+            "mixed": sorted({row.scene for row in group if row.unranked == OTHER_IMAGES and not row.is_average}),
+            "palette": palette_in_words(group),
         })  # fmt: skip
     return boards
+
+
+def _place(row: BoardRow) -> tuple[float, float, bool, str]:
+    """Return what sorts the rows of a scene: rank, PSNR, pack."""
+    psnr = row.scores[COLUMNS.index("psnr")].value
+    return row.ranks[0] if row.ranks else inf, inf if isnan(psnr) else -psnr, bool(row.twin), row.pack.page
 
 
 def palette_in_words(rows: Iterable[BoardRow]) -> str:
@@ -136,13 +159,30 @@ def palette_in_words(rows: Iterable[BoardRow]) -> str:
     return f"{MARK} {WORDS}{partly}" if found else ""
 
 
-def mixed_scenes(rows: Iterable[BoardRow]) -> list[str]:
-    """Return the scenes whose rows are of different images, views or ranges, so that their scores do not compare."""
-    measured: dict[str, set[str]] = {}
-    for row in rows:
-        if not row.is_average:
-            measured.setdefault(row.scene, set()).update(row.measured_on)
-    return sorted(scene for scene, found in measured.items() if len(found) > 1)
+def equal_data(packs: Iterable[Pack]) -> dict[Place, str]:
+    """Return a sentence for each scene whose test images are those of another one."""
+    equal = equal_scenes(cell.record for pack in packs for cell in pack.cells)
+    return {twin: equal_in_words(twin, first) for twin, first in equal.items()}
+
+
+def cell_rows(records: Iterable[Record]) -> list[list[str]]:
+    """Return a row for each cell of a pack: what it is, its scores and time, and why it failed."""
+    return [
+        [methods.label(method_label(r, with_init=True)), f"{r.dataset}/{r.scene}", str(r.seed), training_in_words(r),
+         *("n/a" if isnan(value := metric_value(r, name)[0]) else as_text(name, value) for name in COLUMNS),
+         r.why_failed if r.failure else "finished"] for r in records
+    ]  # fmt: skip
+
+
+def reasons_of(records: Iterable[Record]) -> dict[str, list[str]]:
+    """Return which numbers of finished cells are n/a, by reason."""
+    found: dict[str, list[str]] = {}
+    for record in records:
+        for name in COLUMNS if record.failure is None else ():
+            value, reason = metric_value(record, name)
+            if isnan(value):
+                found.setdefault(reason or "not known", []).append(MEASURES[name].label)
+    return {reason: [f"{n} × {label}" for label, n in Counter(labels).items()] for reason, labels in found.items()}
 
 
 def reading_of(method: str, packs: Sequence[Pack]) -> str:

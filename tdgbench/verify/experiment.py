@@ -10,9 +10,10 @@ from typing import NamedTuple
 from tdgbench.cells.known_classes import add_trust_arguments, trust
 from tdgbench.cells.paths import CAMERAS_FILE, RECORD_FILE, VIEWS_FILE, files_of
 from tdgbench.cells.plan import read_plan
-from tdgbench.cells.record import no_records, record_files
+from tdgbench.cells.record import Record, no_records, record_files
 from tdgbench.packs import opened_pack
 from tdgbench.scenes.modalities import THERMAL
+from tdgbench.tables.equal_data import equal_in_words, equal_scenes
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 from tdgbench.verify.cell import check_cell, read_cell
@@ -27,7 +28,8 @@ OF_A_CELL = (*files_of(THERMAL), VIEWS_FILE, CAMERAS_FILE)
 class Verification(NamedTuple):
     """Number of cells, how many of them are finished, and every problem in words.
 
-    checked: finished cells whose ground truth was compared with data. why_not: of the others, each reason once.
+    checked: finished cells whose ground truth was compared with data. why_not: of the others, each reason once. equal:
+    scenes with the test images of another one, in words.
     """
 
     cells: int
@@ -35,6 +37,7 @@ class Verification(NamedTuple):
     problems: list[str]
     checked: int = 0
     why_not: tuple[str, ...] = ()
+    equal: tuple[str, ...] = ()
 
     @property
     def of_data(self) -> str:
@@ -54,7 +57,7 @@ def main(arguments: list[str]) -> int:
                         "scenes need none")  # fmt: skip
     parser.add_argument("--weights", type=Path, metavar="FILE", help="LPIPS's backbone, where scores are of a file")
     add_trust_arguments(parser)
-    options, status = parser.parse_args(arguments), 0
+    options, status = parser.parse_intermixed_args(arguments), 0
     for experiment in options.experiment:
         try:
             trust(options.config_dir, options.trust)
@@ -73,7 +76,8 @@ def main(arguments: list[str]) -> int:
         n, m = verified.cells, len(verified.problems)
         say(one_line(f"{experiment}: {n} cell{'s' * (n != 1)}{unfinished}, {m} problem{'s' * (m != 1)}"))
         if verified.finished:
-            say(one_line(verified.of_data), "data:")
+            for sentence in (verified.of_data, *verified.equal):
+                say(one_line(sentence), "data:")
         status |= bool(verified.problems) or not verified.finished
     return status
 
@@ -88,6 +92,7 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
     if not records and not lost:
         raise no_records(experiment)
     of_plan, finished, checked, why_not = Problems(), 0, 0, dict[str, None]()
+    sound: list[Record] = []
     of_plan.read("its plan", read_plan, experiment)
     problems = of_plan.all
     with true_data(data) as true:
@@ -99,6 +104,7 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
                 check_cell(stated, found, weights)
             if stated is not None and stated.cell.record.status == "ok":
                 finished += 1
+                sound += [] if found.all else [stated.cell.record]
                 try:
                     checked += found.check("its ground truth", data_problems, stated.cell, true)
                 except NotCheckedError as reason:
@@ -106,7 +112,8 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
             name = folder.relative_to(experiment / "cells").as_posix()
             problems += [f"{name}: {problem}" for problem in found.all]
     problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {RECORD_FILE} is missing" for folder in lost]
-    return Verification(len(records), finished, problems, checked, tuple(why_not))
+    equal = tuple(equal_in_words(twin, first) for twin, first in equal_scenes(sound).items())
+    return Verification(len(records), finished, problems, checked, tuple(why_not), equal)
 
 
 def _without_record(experiment: Path) -> list[Path]:

@@ -62,7 +62,7 @@ def check_renders(cell: CellFolder, problems: Problems) -> dict[str, np.ndarray 
     depths: dict[str, np.ndarray | None] = {}
     for modality in LABELS:
         files = files_of(modality)
-        if modality != THERMAL and not (cell.folder / files.renders).exists():
+        if modality != THERMAL and not cell.views_with(files.renders):
             continue
         render = problems.read(PARTS_FILE if cell.has_parts else files.model, cell.renderer, modality)
         for view in cell.test_cameras:

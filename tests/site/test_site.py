@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 import shlex
 from pathlib import Path
 from urllib.parse import unquote
@@ -14,6 +15,7 @@ from PIL import Image
 from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.record import read_all
 from tdgbench.packs import pack
+from tdgbench.site.budgets import training_in_words
 from tdgbench.site.site_command import main
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import COLUMNS, as_text
@@ -81,21 +83,25 @@ def test_all_links_resolve(site):
 
 
 def rows_of_index(site: Path) -> list[list[str]]:
-    """Rows of the leaderboards: method, scene, a number of each of COLUMNS, seeds, pack."""
+    """Rows of the leaderboards: rank, method, scene, a number of each of COLUMNS, seeds, …, pack."""
     index = HtmlPage((site / "index.html").read_text(encoding="utf-8"))
-    return [row for table in index.tables if table[0][0] == "method" for row in table[1:]]
+    found = [row for table in index.tables if table[0][0] == "rank" for row in table[1:]]
+    return [[*row[:2], *row[3:], row[2]] for row in found]
 
 
 def test_every_number_is_that_of_the_records(small_results, packed, tmp_path):
     records = [record for record in read_all(small_results) if record.failure is None]
     labels = {"tdg": "TDg", "msmg": "MSMG"}
-    rows = {(row[0], row[1]): row[2:] for row in rows_of_index(make(tmp_path / "site", packed))}
+    rows = {(row[1], row[2]): row[3:] for row in rows_of_index(make(tmp_path / "site", packed))}
     for record in records:
         scene = {"orbit": "orbit †"}.get(record.scene, record.scene)  # in a palette
-        *numbers, seeds, name = rows.pop((labels[record.method], scene))
+        method = {"tdg": "TDg prior synthetic"}.get(record.method, labels[record.method])
+        *numbers, seeds, budget, iterations, size, ranges, name = rows.pop((method, scene))
         values = [metric_value(record, metric)[0] for metric in COLUMNS]
         expected = ["n/a" if np.isnan(v) else as_text(m, v) for m, v in zip(COLUMNS, values, strict=True)]
         assert (numbers, seeds, name) == (expected, "1", "small.zip")
+        assert (budget, iterations) == (record.setting("budget.name"), str(record.setting("budget.iterations")))
+        assert re.fullmatch(r"\d+×\d+", size) and (ranges == "n/a") == (record.temperature_range is None)
     assert rows == {}  # no mean, as one scene has failed
 
 
@@ -108,6 +114,47 @@ def test_a_board_states_the_settings_of_its_protocol(tmp_path):
     assert second.startswith("<dd>&#34;zero&#34;</dd>")
 
 
+def test_ranks_are_across_packs_and_of_like_trainings(tmp_path):
+    """One seed has no rank; equal cells of another pack count once; another budget has a table of its own."""
+    cells = (("a", "tdg", (30.0, 30.2, 30.1), {}), ("b", "msmg", (25.0, 25.1, 25.3), {}), ("c", "3dgs", (40.0,), {}),
+             ("d", "msmg", (20.0, 20.1), {"iterations": 9}), ("e", "tdg", (30.0, 30.2, 30.1), {}))  # fmt: skip
+    packs = []
+    for name, method, psnr, budget in cells:
+        for seed, value in enumerate(psnr):
+            options, hashes = {"budget": {"name": "demo", **budget}}, {"model.ply": f"{len(method)}{seed}" * 32}
+            fields = {"scores": {"psnr": value}, "config": options, "hashes": hashes}
+            write(tmp_path / name, method, "Shed", "mine", seed=seed, **fields)
+        packs.append(pack(tmp_path / name, tmp_path / f"{name}.zip", keep_paths=True)[0])
+    folder = make(tmp_path / "site", *packs, "--title", "Sheds & more")
+    index = (folder / "index.html").read_text()
+    assert "<title>Sheds &amp; more</title>" in index
+    assert [(row[0], *row[1:4:2], row[-1]) for row in rows_of_index(folder)] == [
+        ("1", "TDg", "30.10 ± 0.10", "a.zip"), ("1", "TDg", "30.10 ± 0.10", "e.zip the cells of a.zip"),
+        ("2", "MSMG", "25.13 ± 0.15", "b.zip"), ("–", "3DGS", "40.00", "c.zip"), ("–", "MSMG", "20.05 ± 0.07", "d.zip"),
+    ]  # fmt: skip
+    assert "budget demo, protocol" in index and "budget demo with iterations=9, protocol" in index
+    assert re.findall(r"<b>(\d\d\.\d\d) ±", index) == ["30.10", "30.10"]
+    labels = re.findall(r"<text[^>]*>(\w+, .\.zip)</text>", index)
+    assert sorted(labels) == ["3DGS, c.zip", "MSMG, b.zip", "TDg, a.zip"]
+
+
+def test_budgets_in_words_take_nothing_from_a_record_but_values(monkeypatch):
+    monkeypatch.setenv("SECRET", "10000")
+    method = {"paper_iterations": "${oc.decode:${oc.env:SECRET}}", "gradient": "signed"}
+    stated = record_of(config={"budget": {"name": "paper", "iterations": 10000, "gaussians": None}, "method": method})
+    assert training_in_words(stated) == "budget paper with iterations=10000"
+    stated.config["method"]["paper_iterations"] = 10000
+    assert training_in_words(stated) == "budget paper"
+
+
+def test_scenes_of_equal_bytes_are_named(tmp_path):
+    for scene in ("Truck", "Lion"):
+        write(tmp_path / "a", scene=scene, truth={"view": "0" * 64})
+    folder = make(tmp_path / "site", pack(tmp_path / "a", tmp_path / "a.zip", keep_paths=True)[0])
+    said = "has the test images of RGBT-Scenes/Lion, byte by byte"
+    assert f"RGBT-Scenes/Truck {said}" in (folder / "index.html").read_text()
+
+
 def test_rows_of_other_images_are_not_compared(tmp_path):
     packs = []
     for name, data in (("a", "1f-9"), ("b", "1f"), ("c", "2e")):  # behind the hyphen: files of a depth prior
@@ -118,14 +165,14 @@ def test_rows_of_other_images_are_not_compared(tmp_path):
 
 
 def test_published_numbers_and_verdicts_stand_beside(site):
-    rows = [row for row in rows_of_index(site) if row[:2] == ["TDg", "Truck"]]
+    rows = [row for row in rows_of_index(site) if row[1:3] == ["TDg", "Truck"]]
     table = published_main().set_index(["method", "scene", "metric"])["value"]
     text = as_text("psnr", float(table["tdg", "Truck", "psnr"]))
-    assert [row[2] for row in rows] == [f"{text} ± 0.00 published {text}, reproduced"]
-    assert rows[0][-2] == "3"
+    assert [row[3] for row in rows] == [f"{text} ± 0.00 published {text}, reproduced"]
+    assert (rows[0][0], rows[0][8:10]) == ("1", ["3", "0"])  # of two methods with equal seeds
     of_thermalmix = published_main().query("method == 'tdg' and dataset == 'ThermalMix' and metric == 'psnr'")
     mean = of_thermalmix[~of_thermalmix["scene"].str.contains("Average")]["value"].mean()
-    means = [row[2] for row in rows_of_index(site) if row[:2] == ["TDg", "mean of the scenes"]]
+    means = [row[3] for row in rows_of_index(site) if row[1] == "TDg" and row[2].startswith("mean of")]
     assert f"{as_text('psnr', mean)} ± 0.00" in [" ".join(text.split()[:3]) for text in means]
 
 
@@ -170,9 +217,11 @@ def test_pictures_that_cannot_be_read_are_na(site):
     assert "n/a: " in page.read_text(encoding="utf-8")
 
 
-def test_failures_and_the_checklist_are_on_the_page_of_a_pack(site):
+def test_all_cells_and_the_checklist_are_on_the_page_of_a_pack(site, small_results):
     text = next(p for p in (site / "packs").glob("*.html") if "small.zip" in p.read_text()).read_text(encoding="utf-8")
-    assert "failed in load" in text and "3 seeds of each cell" in text and "tdgbench verify small.zip" in text
+    (cells,) = [table[1:] for table in HtmlPage(text).tables if table[0][:3] == ["method", "scene", "seed"]]
+    assert len(cells) == len(read_all(small_results)) and "failed in load" in " ".join(row[-1] for row in cells)
+    assert "3 seeds of each cell" in text and "tdgbench verify small.zip" in text
 
 
 def test_the_page_of_a_method_has_its_reading_and_claims(site):

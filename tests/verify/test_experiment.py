@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tdgbench.cells.key import cell_key
+from tdgbench.cells.record import read_record
 from tdgbench.verify import main, verify
 from tdgbench.verify.record_problems import field_problems
 
@@ -22,8 +24,21 @@ def spoiled(small_results, tmp_path):
 
 
 def test_sound_results(small_results, capsys):
-    assert verify(small_results) == (4, 3, [], 3, ())
+    assert verify(small_results) == (4, 3, [], 3, (), ())
     assert main([str(small_results)]) == 0 and "4 cells, 3 of them finished, 0 problems" in capsys.readouterr().out
+
+
+def test_equal_data_under_two_names_are_said(small_results, tmp_path, capsys):
+    copy, named = Path(shutil.copytree(small_results, tmp_path / "twice")), CELL.as_posix().replace("turntable", "mine")
+    (copy / named).parent.mkdir(parents=True)
+    shutil.copytree(copy / CELL, copy / named)
+    record = read_record(copy / named)
+    record.scene = "mine"
+    record.key = cell_key(record)
+    record.write(copy / named)
+    main([str(copy)])
+    said = "data: synthetic/mine has the test images of synthetic/turntable, byte by byte: they are no evidence"
+    assert said in capsys.readouterr().out
 
 
 def only_problem(experiment) -> str:
