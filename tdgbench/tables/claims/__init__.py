@@ -72,6 +72,9 @@ def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
     parts = [finding.grounds]
     if check.of_tables:
         parts.append(evidence.note)
+        if evidence.is_of_one_seed:
+            finding = Finding(UNDECIDED, finding.grounds)
+            parts.append("one seed decides nothing")
     if claim.gain:
         parts.append(gain_against_spread(evidence.main, claim.metrics or [claim.metric]))
     return Finding(finding.verdict, "; ".join(part for part in parts if part))

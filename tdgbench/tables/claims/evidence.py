@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -113,6 +114,12 @@ class ClaimEvidence:
         return AVERAGE
 
     @property
+    def is_of_one_seed(self) -> bool:
+        """True if a number of our main table is of one seed."""
+        seeds = Counter((cell.record.method, cell.dataset_and_scene) for cell in as_published(self.cells))
+        return min(seeds.values(), default=2) < 2
+
+    @property
     def is_of_paper(self) -> bool:
         """True if the main table has the paper's scenes and no others."""
         return set(self.main["dataset"]) - {""} <= set(DATASETS.values())
@@ -122,7 +129,7 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     """Return our evidence: every cell of the experiments that has scores.
 
     Cells with overrides of a method, a prior or an init do not count: they are not what the YAML files have.
-    Cells whose prior is made from the sparse points, which come from RGB images, do not: TDg has thermal images alone.
+    Cells whose prior is made from the sparse points do not: these may come from RGB images, and TDg has thermal ones.
     Raises ValueError for a folder without records.
     """
     cells: list[Cell] = []

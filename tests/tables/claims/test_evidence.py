@@ -1,9 +1,12 @@
 """Which cells count, and which of them make our main table."""
 
+from dataclasses import replace
+
 import pytest
 
 from tdgbench.cells.record import Failure, Record
-from tdgbench.tables.claims.evidence import ClaimEvidence, evidence_of
+from tdgbench.tables.claims import check_claim, load_claims
+from tdgbench.tables.claims.evidence import HOLDS, UNDECIDED, ClaimEvidence, evidence_of
 from tdgbench.tables.published import published_main
 from tests.helpers.records import write_record
 
@@ -82,3 +85,13 @@ def test_the_papers_scenes_are_all_asked_for(tmp_path):
     assert found.is_of_paper and found.overall == "Average (Overall)"
     assert len(set(found.main["scene"])) == 16
     assert ClaimEvidence(published_main(), None, printed=True).overall == "Average (Overall)"
+
+
+@pytest.mark.parametrize(("seeds", "verdict"), [(1, UNDECIDED), (2, HOLDS)])
+def test_one_seed_decides_no_claim_on_tables(tmp_path, seeds, verdict):
+    for seed in range(seeds):
+        write(tmp_path, "tdg", 30.0, seed=seed)
+        write(tmp_path, "msmg", 29.9, seed=seed)
+    claim = next(claim for claim in load_claims() if claim.id == "thermalmix-within")
+    found = check_claim(replace(claim, dataset="synthetic"), evidence_of([tmp_path]))
+    assert found.verdict == verdict and found.grounds.endswith("one seed decides nothing") == (seeds == 1)
