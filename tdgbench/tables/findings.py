@@ -17,6 +17,7 @@ from tdgbench.tables.claims.evidence import FAILS, HOLDS, THE_PAPER, JudgedClaim
 from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.comparisons import MethodComparison, margin_of
 from tdgbench.tables.equal_data import Place, equal_data_notes
+from tdgbench.tables.likeness import COLUMN as TRAINING_KIND
 from tdgbench.tables.long_table import NO_RECORD
 from tdgbench.tables.measures import (
     ABLATION,
@@ -134,12 +135,16 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[st
     rows = changes[changes["metric"].isin(PUBLISHED) & changes["change"].notna() & changes["scene"].isin(both["scene"])]
     scenes = rows[~_is_average(rows)]
     if scenes.empty:
-        yield f"{title}: {_why_not(both, 'no scene has results of both that compare')}"
+        kinds = both.loc[both["metric"] == PUBLISHED[0], TRAINING_KIND].unique()
+        unlike = f"no scene is compared, since trainings differ ({' / '.join(kinds)})"
+        yield f"{title}: {_why_not(both, unlike if len(kinds) > 1 else 'no scene has results of both')}"
         return
     compared = scenes[["dataset", "scene"]].drop_duplicates()
     several = len(compared) > 1
     without = len(both.loc[~_is_average(both), ["dataset", "scene"]].drop_duplicates()) - len(compared)
     notes = [f"n/a on {without} more"] if without else []
+    timed = both.loc[(both["metric"] == HOURS.name) & both["value"].notna(), "method"].nunique() == len(pair)
+    untimed = ["times are of unlike machines or threads"] * (timed and HOURS.name not in set(scenes["metric"]))
     if several and scenes["seeds"].max() > 1:
         tests = ["p: Wilcoxon's signed-rank test over the scenes"] if "(p " in (counts := _counts(paired)) else []
         yield "; ".join([f"{title} on {len(compared)} scenes: {counts}", *tests, *notes])
@@ -150,7 +155,7 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[st
     where = f"on average over {len(compared)} scenes" if several else f"on {compared['scene'].iloc[0]}"
     parts = [_change(row) for row in place.itertuples()]
     of_scenes = main.merge(place[["dataset", "scene"]].drop_duplicates() if not several else compared)
-    grounds = [_certainty(place, of_scenes), *_published_time(pair, scenes), *notes]
+    grounds = [_certainty(place, of_scenes), *untimed, *_published_time(pair, scenes), *notes]
     yield "; ".join([f"{title} {where}: {', '.join(parts)}", *grounds])
 
 

@@ -11,6 +11,7 @@ from tdgbench.cells.plan import Plan
 from tdgbench.tables import methods
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.comparisons import change_over_seeds, compare_methods, paired_tests, told_apart
+from tdgbench.tables.findings import findings_of_methods
 from tdgbench.tables.long_table import cell_rows
 from tdgbench.tables.published import published_main
 from tdgbench.tables.results import read_results
@@ -115,3 +116,8 @@ def test_unlike_trainings_and_machines_are_not_compared(tmp_path):
     changes = compare_methods(cells, main, results.finished)[0].changes.set_index(["scene", "metric"])
     assert changes.loc[("orbit", "psnr"), "seeds"] == 3 and changes.loc[("orbit", "train_hours"), "seeds"] == 2
     assert changes.loc[("night", "psnr"), "seeds"] == changes.loc[("Average", "psnr"), "seeds"] == 0
+    main["training"] = main["method"]
+    comparisons = compare_methods(cells, main, results.finished)
+    assert findings_of_methods(main, None, comparisons, None, {})[0] == (
+        "TDg against MSMG: n/a: no scene is compared, since trainings differ (msmg / tdg)"
+    )

@@ -138,7 +138,7 @@ def test_na_says_why(tmp_path):
     ]
     write(tmp_path, "tdg", status="failed", failure=Failure("prior", "PriorError: no weights", ""))
     write(tmp_path, "msmg", "Lion", "ThermalMix", "360")
-    assert build_tables(tmp_path).findings[0] == "TDg against MSMG: n/a: no scene has results of both that compare"
+    assert build_tables(tmp_path).findings[0] == "TDg against MSMG: n/a: no scene has results of both"
 
 
 def test_other_scenes_are_compared_too_but_with_no_paper(tmp_path):
