@@ -48,7 +48,8 @@ def _of_option(error: ConfigCompositionException, words: Sequence[str]) -> str:
     place = option.rpartition(".")[0]
     there = [f"{place}.{key!s}" for key in group] if place and isinstance(group, DictConfig) else []
     typed = next((word for word in words if word.lstrip("+~").startswith((f"{option}=", f"{option}."))), option)
-    return f"{typed}: is no option{belongs_to(option) or meant(option, there) or option_meant(option)} (`tdgbench --cfg job` shows all)"
+    remedy = belongs_to(option) or meant(option, there) or option_meant(option)
+    return f"{typed}: is no option{remedy} (`tdgbench --cfg job` shows all)"
 
 
 def _of_configuration(error: HydraException | OmegaConfBaseException, words: Sequence[str]) -> str:
