@@ -18,7 +18,7 @@ from tdgbench.tables.long_table import RANGE
 from tdgbench.tables.measures import ABLATION, HOURS, MEASURES, PUBLISHED, as_text
 from tdgbench.tables.palette import MARK, with_mark
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
-from tdgbench.tables.verdicts import verdicts_in_words
+from tdgbench.tables.verdicts import comparable, verdicts_in_words
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
@@ -63,7 +63,11 @@ def show_tables(tables: Tables) -> None:
     show_doubts(doubts_of(tables.records))
     if tables.difference is not None:
         known = tables.difference["difference"].notna()
-        counted = f"{int(known.sum())} of {len(known)} published numbers have one of ours beside them"
+        judged = len(comparable(tables.difference))
+        counted = (
+            f"{int(known.sum())} of {len(known)} published numbers ({judged} scores, which get a verdict, and "
+            f"{len(known) - judged} times) have one of ours beside them"
+        )
         say(f"{counted}; differences: {tables.folder / 'difference.csv'}")
         for metric, group in tables.difference[known].groupby("metric", sort=False):
             gap = group["difference"]
