@@ -25,7 +25,11 @@ NAMED = "a file that the command line or torch's cache names; never a record"
 DOORS = {
     "tdgbench/archives.py": {"zipfile.ZipFile": OPENED, "archive.open": OPENED},
     "tdgbench/bench/cell_phases.py": {"instantiate": CHOSEN},
-    "tdgbench/bench/environment.py": {"path.read_bytes": OURS, "subprocess.run": "git, in tdgbench's checkout"},
+    "tdgbench/bench/commit.py": {
+        "distribution('tdgbench').read_text": OURS,
+        "subprocess.run": "git, in tdgbench's checkout",
+    },
+    "tdgbench/bench/environment.py": {"path.read_bytes": OURS},
     "tdgbench/cells/known_classes.py": {
         "get_class": "names of conf/, and of --trust and --config-dir, that a record's `_target_` equals",
         "OmegaConf.load": "YAML of conf/ and of --config-dir",
@@ -77,8 +81,9 @@ DOORS = {
     "tdgbench/splats/cpu/precompile.py": {"subprocess.Popen": "Python, on a module of ours"},
     "tdgbench/splats/ply.py": {"np.fromfile": OPENED},
     "tdgbench/tables/claims/__init__.py": {"OmegaConf.load": OURS},
-    "tdgbench/tables/methods.py": {"OmegaConf.load": OURS},
+    "tdgbench/cells/plan.py": {"OmegaConf.load": CHOSEN},
     "tdgbench/tables/published.py": {"pd.read_csv": OURS, "OmegaConf.load": OURS},
+    "tdgbench/tables/seed_spreads.py": {"OmegaConf.load": OURS},
     "tdgbench/tables/verdicts.py": {"OmegaConf.load": OURS},
     "tdgbench/tensors.py": {"zipfile.ZipFile": OPENED, "torch.load": OPENED},
     "tdgbench/tools.py": {"importlib.import_module": "a name of a table of ours"},
