@@ -69,7 +69,7 @@ def opens_text(call: ast.Call) -> bool:
     mode = call.args[0].value if call.args and isinstance(call.args[0], ast.Constant) else "r"
     if isinstance(call.func, ast.Name):
         return call.func.id == "open"
-    others = ("os", "Image", "member", "archive", "pycolmap.Database")
+    others = ("os", "Image", "member", "archive", "pycolmap.Database", "distribution('tdgbench')")
     if not isinstance(call.func, ast.Attribute) or ast.unparse(call.func.value) in others:
         return False
     return call.func.attr in ("read_text", "write_text") or (call.func.attr == "open" and "b" not in str(mode))

@@ -44,7 +44,8 @@ def control(theirs, reading: str) -> MultimodalControl:
     """Return the start, in the order of the original, after three views."""
     cfg = config("method=mmone" if reading == "released" else "method=mmone_described", "budget=paper")
     density = {name: value for name, value in cfg.budget.density.items() if name != "_target_"}
-    options = {name: cfg.method.method[name] for name in MultimodalRules.__dataclass_fields__ if name not in density}
+    names = set(MultimodalRules.__dataclass_fields__) - {*density, "filled_at"}
+    options = {name: cfg.method.method[name] for name in names}
     rules = replace(MultimodalRules(**density, **options), opacity_reset_every=RESET_EVERY)
     start = gaussians_of(theirs, "start_")
     state = TrainingState(start)

@@ -44,7 +44,7 @@ def test_depth_render(backend):
     assert theirs["render_vis"].max() > 0.3 and relative(ours, theirs["render_vis"]) < 1e-6
 
 
-@pytest.mark.parametrize("size", [(12, 16), (9, 20)])
+@pytest.mark.parametrize("size", [(12, 16)])
 @pytest.mark.parametrize("name", FILES)
 def test_depth_maps(tmp_path, name, size):
     """A PNG becomes the target of the loss: resized, valid where above 0, min-max over that, 0 elsewhere."""
