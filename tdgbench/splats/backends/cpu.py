@@ -11,12 +11,11 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend, Collect, StateOptions, SumFootprints
-from tdgbench.splats.columns import COLORS_AT, GEOMETRY_SIZES
+from tdgbench.splats.columns import COLORS_AT, GEOMETRY_SIZES, padded
 from tdgbench.splats.cpu import statistics
 from tdgbench.splats.cpu.deferred_steps import DeferredSteps
 from tdgbench.splats.cpu.losses import fused_losses
 from tdgbench.splats.cpu.precompile import compiled_alongside
-from tdgbench.splats.cpu.raster.dense import of_rows
 from tdgbench.splats.cpu.raster.passes import blend_backward, forward
 from tdgbench.splats.cpu.raster.source import Span, source_of_arrays, source_of_rows
 from tdgbench.splats.cpu.raster.types import Channels, Settings, pack_camera, pack_limits
@@ -39,8 +38,14 @@ def _tensors(arrays) -> list[Tensor]:
     return [torch.from_numpy(array) for array in arrays]
 
 
-def _dense(rows: np.ndarray, gaussian_ids: np.ndarray, spans: list[Span], count: int, width: int) -> Tensor:
-    return torch.from_numpy(of_rows(rows, gaussian_ids, spans, count, [width])[0])
+def _spread(
+    rows: np.ndarray, gaussian_ids: np.ndarray, spans: list[Span], count: int, columns: int | None = None
+) -> Tensor:
+    """Return (count, columns) with the rows of spans (first, count) at their Gaussians, and 0 elsewhere."""
+    out = np.zeros((count, columns or rows.shape[1]), rows.dtype)
+    for first, length in spans:
+        out[:, : rows.shape[1]][gaussian_ids[first : first + length]] = rows[first : first + length]
+    return torch.from_numpy(out)
 
 
 class Rasterize(torch.autograd.Function):
@@ -56,7 +61,7 @@ class Rasterize(torch.autograd.Function):
         view = forward(source, settings)
         ids, radii, means2d = view.projected
         to_all = (ids, view.projected_spans, source.count)
-        radii, probe.data = _dense(radii[:, None], *to_all, 1).squeeze(1), _dense(means2d, *to_all, 2)
+        radii, probe.data = _spread(radii[:, None], *to_all).squeeze(1), _spread(means2d, *to_all)
         ctx.saved = (source, settings, view, colors.shape, absgrad)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(radii)
@@ -67,13 +72,13 @@ class Rasterize(torch.autograd.Function):
         source, settings, view, color_shape, absgrad = ctx.saved
         rows = blend_backward(source, settings, view, *_arrays((grad_color, grad_depth, grad_transmittance))).rows()
         ids, values, image = rows.arrays
-        touched = (ids, rows.spans, source.count)
-        *geometry, opacities, colors = _tensors(
-            of_rows(values, *touched, [*GEOMETRY_SIZES, math.prod(color_shape[1:])])
-        )
+        columns = [*GEOMETRY_SIZES, math.prod(color_shape[1:])]
+        dense = _spread(values, ids, rows.spans, source.count, padded(sum(columns)))[:, : sum(columns)]
+        means, quats, scales, opacities, colors = dense.split(columns, dim=1)
+        image = _spread(image, ids, rows.spans, source.count)
         if absgrad is not None:
-            absgrad += _dense(image[:, 3:], *touched, 2)
-        return *geometry, opacities.squeeze(1), colors.reshape(color_shape), _dense(image, *touched, 2), None, None
+            absgrad += image[:, 3:]
+        return means, quats, scales, opacities.squeeze(1), colors.reshape(color_shape), image[:, :2], None, None
 
 
 class _RenderRows(torch.autograd.Function):
@@ -136,8 +141,8 @@ class CpuBackend(Backend):
             ids, values, _ = rows.arrays
             seen, radii, _ = view.projected
             return (
-                _dense(values[:, COLORS_AT:], ids, rows.spans, count, channels),
-                _dense(radii[:, None], seen, view.projected_spans, count, 1).squeeze(1),
+                _spread(values[:, COLORS_AT : COLORS_AT + channels], ids, rows.spans, count),
+                _spread(radii[:, None], seen, view.projected_spans, count).squeeze(1),
             )
 
         return sums
