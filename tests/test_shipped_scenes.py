@@ -92,8 +92,15 @@ def test_options_are_typed_as_data(small_gray_scene, tmp_path):
 def test_every_layout_trains(small_gray_scene, tmp_path, layout):
     shipped = LAYOUTS[layout]
     shipped.write(small_gray_scene, tmp_path / "data" / "scene")
-    methods = "tdg,msmg" if shipped.has_rgb else "tdg"
-    words = ("budget.iterations=100", f"dataset={shipped.dataset}", "data.root=data", f"method={methods}")
+    alone, init = ("tdg", "colmap") if shipped.has_points else ("3dgs", "random")
+    methods = f"{alone},msmg" if shipped.has_rgb else alone
+    words = (
+        "budget.iterations=100",
+        f"dataset={shipped.dataset}",
+        "data.root=data",
+        f"init={init}",
+        f"method={methods}",
+    )
     records = run(tmp_path, *words)
     assert len(records) == len(methods.split(","))
     for record in records:

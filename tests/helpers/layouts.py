@@ -217,6 +217,7 @@ class Shipped:
     dataset: str
     has_rgb: bool = True
     in_celsius: bool = True
+    has_points: bool = True
 
 
 LAYOUTS = {
@@ -224,7 +225,7 @@ LAYOUTS = {
     "thermalmix_images": Shipped(partial(write_downloaded_thermalmix, states_range=True), "thermalmix", "folder"),
     "rgbt_scenes": Shipped(write_rgbt_scenes, "rgbt_scenes", "folder", in_celsius=False),
     "thermoscenes": Shipped(write_thermoscenes, "thermoscenes", "thermoscenes"),
-    "sear": Shipped(write_sear, "sear", "sear", in_celsius=False),
+    "sear": Shipped(write_sear, "sear", "sear", in_celsius=False, has_points=False),
     "ti_nsd": Shipped(write_ti_nsd, "ti_nsd", "ti_nsd", has_rgb=False, in_celsius=False),
 }
 
