@@ -54,7 +54,7 @@ class CapacityOptions(MatrixOptions):
 
     methods: dict[str, Any]
     runs: Annotated[list[SampledRun], Field(min_length=2)]
-    gaussians: Annotated[list[PositiveInt], Field(min_length=1)]  # of the set that renders thermal images
+    gaussians: list[PositiveInt]  # of the set that renders thermal images; empty: no cells of equal numbers
     times: list[PositiveFloat]  # seconds of training; empty: no curves
     samples: Annotated[int, Field(ge=2)]  # along a training, of its curve
     budgets: dict[str, Any] = field(default_factory=dict)

@@ -77,8 +77,6 @@ class ErrorTime(Experiment):
 
     def run(self, cfg: DictConfig) -> None:
         self.check(cfg)
-        pool.set_threads(cfg.threads)
-        torch.set_num_threads(1)
         folder = Path(cfg.results) / cfg.name
         curves, failed = sample_all(cfg)
         if not curves.empty:
@@ -135,6 +133,8 @@ def configured_for(cfg: DictConfig, run: SampledRun) -> DictConfig:
 
 def sample_all(cfg: DictConfig) -> tuple[pd.DataFrame, int]:
     """Return the curves of all scenes and runs, and the number of failed runs; these do not stop the others."""
+    pool.set_threads(cfg.threads)
+    torch.set_num_threads(1)
     curves, failed = [], 0
     for scene in cfg.study.scenes:
         for run in runs_of(cfg):
