@@ -13,7 +13,7 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from tdgbench import __version__
-from tdgbench.data.export.export import FORMATS
+from tdgbench.data.export import FORMATS
 from tdgbench.data.get.sources import SOURCES
 from tdgbench.scenes.options import SPLITS
 from tdgbench.splats.backends import backend_names

@@ -40,7 +40,7 @@ DOORS = {
     "tdgbench/bench/signature.py": {"OmegaConf.load": OURS},
     "tdgbench/children.py": {"subprocess.Popen": CHOSEN},
     "tdgbench/data/command.py": {"importlib.import_module": "a name of a table of ours"},
-    "tdgbench/data/export/command.py": {"instantiate": CHOSEN},
+    "tdgbench/data/export.py": {"instantiate": CHOSEN},
     "tdgbench/data/get/sources.py": {"target.open": OURS},
     "tdgbench/data/poses/metashape.py": {"zipfile.ZipFile": OPENED},
     "tdgbench/data/prepare/capture.py": {"np.load": OURS},
@@ -65,7 +65,7 @@ DOORS = {
     "tdgbench/scenes/formats/pictures.py": {"Image.open": OPENED, "imagecodecs.png_decode": OPENED},
     "tdgbench/scenes/formats/tiff.py": {"TiffFile": OPENED},
     "tdgbench/scenes/inputs.py": {"np.load": OPENED},
-    "tdgbench/scenes/synthetic/dataset.py": {"np.load": OPENED, "p.read_bytes": OURS},
+    "tdgbench/scenes/synthetic/dataset.py": {"p.read_bytes": OURS},
     "tdgbench/scoring/backbones.py": {
         "np.load": NAMED,
         "torch.load": NAMED,

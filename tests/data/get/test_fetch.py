@@ -11,7 +11,7 @@ import pytest
 
 from tdgbench import archives
 from tdgbench.bench.lock import file_lock
-from tdgbench.data.get.fetch import DOWNLOADS, RECORD, fetch
+from tdgbench.data.get.command import DOWNLOADS, RECORD, fetch
 from tdgbench.data.get.packages import packages_of
 from tdgbench.data.get.sources import SOURCES, GetError, list_files
 from tests.helpers.archives import scene_files, zipped
@@ -37,7 +37,7 @@ def no_waits(monkeypatch):
 
 def get(folder: Path, server, *scenes: str, force: bool = False) -> bool:
     """Fetch into a folder; return whether all could be used."""
-    packages, _ = packages_of(SOURCE, list_files(SOURCE, server.address).files, list(scenes))
+    packages, _ = packages_of(SOURCE, list_files(SOURCE, server.address)[0], list(scenes))
     return fetch(SOURCE, folder, packages, force)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tdgbench.data.export.export import export_scene
+from tdgbench.data.export import export_scene
 from tdgbench.data.poses.metashape import TABLE, lenses, read_xml
 from tdgbench.data.poses.references import read_reference
 from tdgbench.scenes import Camera, FolderDataset, PointCloud, ReadOptions, SceneError

@@ -7,7 +7,7 @@ import pycolmap
 import pytest
 from PIL import Image
 
-from tdgbench.data.export.export import export_scene
+from tdgbench.data.export import export_scene
 from tdgbench.scenes import PointCloud, SceneError
 from tests.helpers.command import tdgbench_here
 from tests.helpers.layouts import (
