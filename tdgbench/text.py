@@ -9,9 +9,7 @@ from typing import Any
 
 MOST_NAMED = 5  # names in a message
 # Absolute paths, whose folders may have spaces: what in a text tells whose machine it was made on.
-ABSOLUTE = re.compile(
-    r"(?<![\w/.:%-])(?:/|~/|[A-Za-z]:[/\\]+)(?! )(?:[\w.+@~=-]*(?: [\w.+@~-]*)*[/\\]+)+[\w.+@~=,-]+"
-)
+ABSOLUTE = re.compile(r"(?<![\w/.:%-])(?:/|~/|[A-Za-z]:[/\\]+)(?! )(?:[\w.+@~ -]+[/\\]+)+[\w.+@~=,-]+")
 FORMULA = ("=", "+", "-", "@", "'", "\t", "\r", "\n")  # a spreadsheet would run what begins with one of them
 
 

@@ -10,7 +10,7 @@ import shlex
 import shutil
 import zipfile
 from collections.abc import Iterable
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from tdgbench import __version__
@@ -32,13 +32,11 @@ from tdgbench.packs.manifest import (
     sha256,
 )  # fmt: skip
 from tdgbench.scenes import SceneError
-from tdgbench.text import as_typed
+from tdgbench.text import absolute_paths, as_typed
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file: the first time that a zip file can state
 TEXTS = (".json", ".csv")
 COMPRESSED = (*TEXTS, ".ply", ".pt")  # PNG is
-# What in a text tells whose machine it was made on. (Records state neither user nor host.)
-PATHS = re.compile(r"""(?<![\w/.:%-])(?:/|~/|[A-Za-z]:\\\\?)(?:[\w.+ -]+[/\\]+)+[\w.+-]+""")
 
 
 def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -> tuple[Path, str]:
@@ -71,7 +69,7 @@ def _check_no_private_paths(files: Iterable[Path], experiment: Path) -> None:
     """Raise ValueError for a text that holds an absolute path."""
     for file in files:
         text = _text(file)
-        for found in private_paths(text.decode(errors="replace")):
+        for found in absolute_paths(text.decode(errors="replace")):
             cure = "run the cell again with relative paths (data.root=data)"
             if file.name == RECORD_FILE:
                 metrics = (json.loads(text).get("config") or {}).get("metrics") or {}
@@ -82,7 +80,7 @@ def _check_no_private_paths(files: Iterable[Path], experiment: Path) -> None:
 
 def _rescored(experiment: Path, metrics: dict[str, Any]) -> str:
     """Return how to have the same scores with a relative path of LPIPS's weights. metrics: options in a record."""
-    weights = without_paths(metrics["lpips"]["weights"])
+    weights = PureWindowsPath(metrics["lpips"]["weights"]).name
     options = {n: v for n, v in flat(metrics).items() if n.rpartition(".")[2] not in ("_target_", "weights_sha256")}
     words = [f"metrics.{name}={as_typed(value)}" for name, value in {**options, "lpips.weights": weights}.items()]
     command = ["tdgbench", "score", str(experiment), f"{experiment}-shared", *words]
@@ -103,24 +101,6 @@ def _info(entry: str, size: int = 0) -> zipfile.ZipInfo:
     info.compress_type = zipfile.ZIP_DEFLATED if entry.endswith(COMPRESSED) else zipfile.ZIP_STORED
     info.file_size = size  # decides whether a member needs zip64
     return info
-
-
-def private_paths(text: str) -> list[str]:
-    """Return the absolute paths in a text, each once.
-
-    >>> private_paths('{"weights": "/home/ada/vgg.npz", "shape": "3/4", "url": "https://a.org/b/c"}')
-    ['/home/ada/vgg.npz']
-    """
-    return list(dict.fromkeys(PATHS.findall(text)))
-
-
-def without_paths(text: str) -> str:
-    """Return a text in which an absolute path is the name of its file.
-
-    >>> without_paths("/home/ada/a b/views.csv: no such file")
-    'views.csv: no such file'
-    """
-    return PATHS.sub(lambda found: re.split(r"[/\\]", found.group())[-1], text)
 
 
 def _paths(experiment: Path) -> dict[str, Path]:
