@@ -86,8 +86,7 @@ DOORS = {
     "tdgbench/tables/seed_spreads.py": {"OmegaConf.load": OURS},
     "tdgbench/tables/verdicts.py": {"OmegaConf.load": OURS},
     "tdgbench/tensors.py": {"zipfile.ZipFile": OPENED, "torch.load": OPENED},
-    "tdgbench/tools.py": {"importlib.import_module": "a name of a table of ours"},
-    "tdgbench/usage.py": {"path.read_text": OURS},
+    "tdgbench/tools.py": {"importlib.import_module": "a name of a table of ours", "path.read_text": OURS},
 }
 
 

@@ -30,7 +30,7 @@ from tdgbench.cells.paths import cell_folder_of, files_of, prior_cache, short_na
 from tdgbench.cells.protocol import protocol_of
 from tdgbench.cells.read_files import MOST_PIXELS
 from tdgbench.cells.record import MadeElsewhere, PartReport, Record
-from tdgbench.cells.stored_parts import write_parts
+from tdgbench.cells.renders import write_parts
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene, SceneError
 from tdgbench.scenes.datasets import Outline, outline_of

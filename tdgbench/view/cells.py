@@ -13,8 +13,7 @@ from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.known_classes import UnknownMethodError
 from tdgbench.cells.paths import RECORD_FILE, files_of
 from tdgbench.cells.record import Record, read_record, record_files
-from tdgbench.cells.renders import response_of
-from tdgbench.cells.stored_parts import StoredMethod
+from tdgbench.cells.renders import StoredMethod, response_of
 from tdgbench.scenes import Camera
 from tdgbench.scenes.modalities import LABELS, THERMAL
 from tdgbench.splats import Gaussians

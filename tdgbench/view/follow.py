@@ -10,7 +10,7 @@ from pathlib import Path
 from tdgbench.cells.folder import CellFolder, read_cells
 from tdgbench.cells.paths import RECORD_FILE, cell_folder_of
 from tdgbench.cells.record import read_record
-from tdgbench.cells.stored_parts import MethodInTraining
+from tdgbench.cells.renders import MethodInTraining
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.terminal import say
 from tdgbench.text import one_line

@@ -10,7 +10,7 @@ from rich.console import Console
 from methods.thermal3dgs import corner_loss, in_sight, transmitted
 from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.run_cell import run_cell
-from tdgbench.cells.stored_parts import write_parts
+from tdgbench.cells.renders import write_parts
 from tdgbench.splats.backends.backend import RenderOptions
 from tdgbench.splats.backends.reference import BACKEND
 from tdgbench.splats.view import Pinhole
