@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from PIL import Image
 from plyfile import PlyData, PlyElement
 
 from tdgbench.bench.options import check_options
-from tdgbench.data.new_folder import new_folder
+from tdgbench.data.folders import new_folder
 from tdgbench.resources import conf_folder
 from tdgbench.scenes import PointCloud, Scene, SceneError, View
 from tdgbench.scenes.colmap import write_model
@@ -245,7 +246,8 @@ def _write_ply(path: Path, points: PointCloud) -> None:
     PlyData([PlyElement.describe(rows, "vertex")]).write(path)
 
 
-FORMATS = {  # by name: what writes one, and by what its readers sort the names of views
+# By name: what writes one, and by what its readers sort the names of views.
+FORMATS: dict[str, tuple[Callable[[Scene, Path, Statement], None], Callable[[str], str]]] = {
     "3dgs": (_write_3dgs, lambda name: name.split(".")[0]),
     "nerfstudio": (_write_nerfstudio, lambda name: f"{name}.png"),
     "oezer": (_write_oezer, str),

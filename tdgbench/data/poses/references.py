@@ -88,7 +88,7 @@ def _read_json(path: Path) -> Reference:
 
 def _of_transforms(path: Path) -> Reference:
     content = read_transforms(path)
-    images = [frame.posed for frame in content.frames.values()]
+    images = list(content.posed.values())
     ply = None if content.points is None else path.parent / content.points
     if ply is None or not is_there(ply):
         return _of_images(images, None)

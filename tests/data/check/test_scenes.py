@@ -9,8 +9,7 @@ import pycolmap
 import pytest
 from PIL import Image
 
-from tdgbench.data.check.alignment import Offset
-from tdgbench.data.check.registration import registration
+from tdgbench.data.check.registration import Offset, registration
 from tdgbench.data.check.scenes import check_scenes, find_place
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.scenes import ReadOptions

@@ -6,10 +6,10 @@ import pycolmap
 import pytest
 from PIL import Image
 
+from tdgbench.data.folders import Stages
 from tdgbench.data.prepare import sfm
 from tdgbench.data.prepare.capture import picture
 from tdgbench.data.prepare.sfm import SfmOptions, image_pairs, reconstruct
-from tdgbench.data.prepare.stages import Stages
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tests.helpers.relief import FOCAL, HEIGHT, WIDTH, places, write_relief
