@@ -16,6 +16,7 @@ from tdgbench.cells.record import Record
 VERSION = 1  # raise it with every change of a metric, a split or a reader that changes a score
 MEASURED_ON = ("split", "channels", "temperature_range", "views", "masked")  # fields of Record, beside its data
 PLACES = ("weights", "download")  # options of LPIPS that say where its weights come from, not which they are
+ADDED = ("extra",)  # options of metrics that add scores and change none
 
 
 def protocol_settings(config: dict[str, Any]) -> dict[str, Any]:
@@ -30,7 +31,9 @@ def protocol_settings(config: dict[str, Any]) -> dict[str, Any]:
     while isinstance(loader.get("inner"), dict):  # of a data set that changes another one
         loader = loader["inner"]
     named = flat({"data": loader.get("options") or {}, "metrics": config.get("metrics") or {}})
-    return {name: value for name, value in named.items() if name.rsplit(".", 1)[-1] not in (*PLACES, "_target_")}
+    return {
+        name: value for name, value in named.items() if name.rsplit(".", 1)[-1] not in (*PLACES, *ADDED, "_target_")
+    }
 
 
 def protocol_of(config: dict[str, Any], version: int | str = VERSION) -> str:
