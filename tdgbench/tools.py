@@ -59,6 +59,7 @@ TOOLS = {
         (("DIR, unpack PACK DIR, site PACK DIR", "results in one file, to hand on; and back; web pages of packs"),),
         "tdgbench.packs.command",
     ),
+    "new": Tool((("method NAME", "write the files of a method of yours, to begin with"),), "tdgbench.new"),
     "site": Tool((), "tdgbench.site.site_command"),
     "unpack": Tool((), "tdgbench.packs.command", "unpack_main"),
 }

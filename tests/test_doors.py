@@ -54,6 +54,7 @@ DOORS = {
     "tdgbench/experiments/stress/training.py": {"instantiate": CHOSEN},
     "tdgbench/experiments/sweep/plan.py": {"instantiate": CHOSEN},
     "tdgbench/experiments/thermal_camera.py": {"instantiate": CHOSEN},
+    "tdgbench/new.py": {"(PACKAGE / 'templates' / template).read_text": OURS},
     "tdgbench/priors/onnx.py": {"onnx.load": NAMED, "onnxruntime.InferenceSession": NAMED},
     "tdgbench/priors/prior.py": {
         "zipfile.ZipFile": OPENED,

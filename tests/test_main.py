@@ -7,7 +7,6 @@ import re
 import shutil
 import subprocess
 import sys
-from unittest import mock
 
 import pandas as pd
 import pytest
@@ -189,23 +188,6 @@ def test_a_method_with_the_name_of_another_one_is_refused(tmp_path):
     run = command_here(tmp_path, "--config-dir", "yaml", "method=mine", "scene=facade", *QUICK)
     assert run.returncode == 1
     assert "method.name=3dgs: is another method; set `name: mine` in mine.yaml" in run.stdout + run.stderr
-
-
-def test_plug_ins_in_the_working_folder(tmp_path, data_root):
-    """A method and its YAML outside the checkout: `--config-dir` finds one, the working folder the other."""
-    (tmp_path / "mine.py").write_text(
-        "from methods.gaussian_splatting import GaussianSplatting as Base\n\n\nclass Mine(Base):\n    pass\n"
-    )
-    (tmp_path / "yaml" / "method").mkdir(parents=True)
-    text = (ROOT / "conf" / "method" / "3dgs.yaml").read_text()
-    text = text.replace("name: 3dgs", "name: mine").replace("methods.gaussian_splatting.GaussianSplatting", "mine.Mine")
-    (tmp_path / "yaml" / "method" / "mine.yaml").write_text(text)
-    words = ("--config-dir", "yaml", "method=mine", "scene=facade", f"data.root={data_root}", *QUICK)
-    with mock.patch.dict(sys.modules):  # it is forgotten
-        run = command_here(tmp_path, *words)
-    assert run.returncode == 0 and "1 cell run" in run.stdout, run.stderr[-3000:]
-    (record,) = read_all(tmp_path / "results" / "single")
-    assert (record.scene, record.method, record.variant, record.status) == ("facade", "mine", "", "ok")
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench.options import OptionError, check_options, names_to_text
 from tdgbench.cells.plan import (
@@ -57,7 +57,7 @@ def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
     plan.own_methods = before.own_methods | _own_methods(cfg)
     plan.own_metrics = before.own_metrics
     for one in filter(_is_allowed, configs_by(cfg, ("metrics",))):
-        plan.own_metrics |= entries_of(one.metrics.extra)
+        plan.own_metrics |= entries_of(OmegaConf.select(one, "metrics.extra") or ())
     plan.write(experiment)  # for the tables
     plan.write(Path(cfg.hydra.sweep.dir))  # for the jobs: another sweep may replace the other one meanwhile
     return jobs, without_data

@@ -12,7 +12,7 @@ def test_a_sweep_talks_without_a_terminal(tmp_path, data_root):
     sweep = ("-m", *QUICK, f"data.root={data_root}", "method=3dgs", "scene=turntable")
     first = command_here(tmp_path, *sweep, "seed=1,2")
     assert first.returncode == 0, first.stderr[-3000:]
-    assert "single: 2 cells, 0 without data\n" in first.stderr
+    assert "single: 2 cells, 0 of them without data\n" in first.stderr
     title = "3dgs on synthetic/turntable, colmap, seed 1"
     assert re.search(rf"^{title}: starts, at most 12 iterations on 8 training views$", first.stderr, re.MULTILINE)
     scores = r"PSNR \d+\.\d\d dB, SSIM 0\.\d{3}, LPIPS n/a, trained in 0:00:\d\d"
@@ -22,7 +22,7 @@ def test_a_sweep_talks_without_a_terminal(tmp_path, data_root):
     assert not re.search(r"\x1b|\r", first.stderr + first.stdout)
 
     again = command_here(tmp_path, *sweep, "seed=0,1,2")
-    assert "single: 3 cells, 0 without data\n" in again.stderr
+    assert "single: 3 cells, 0 of them without data\n" in again.stderr
     assert again.stderr.count(": starts, ") == 1 and again.stderr.count(": already there\n") == 2
 
 
@@ -36,11 +36,11 @@ def test_a_sweep_over_data_sets(tmp_path, data_root):
     ):  # fmt: skip
         run = command_here(tmp_path, *sweep, f"dataset={others}", f"name={others[-4:]}")
         assert run.returncode == 0, run.stderr[-3000:]
-        assert "2 cells, 0 without data\n" in run.stderr
+        assert "2 cells, 0 of them without data\n" in run.stderr
         cells = tmp_path / "results" / others[-4:] / "cells" / "3dgs"
         assert sorted(path.parent.relative_to(cells).as_posix() for path in cells.rglob("record.json")) == folders
     run = command_here(tmp_path, *sweep, "data.split=eighty_twenty,nosuch", "name=wrong")
-    assert run.returncode == 1 and "2 cells, 0 without data\n" in run.stderr and "1 cell run" in run.stdout + run.stderr
+    assert run.returncode == 1 and "2 cells, 0 of them without data\n" in run.stderr and "1 cell run" in run.stdout
     run = command_here(tmp_path, "-m", "dataset=rgbt_scenes,thermalmix", "scene=Truck", f"data.root={data_root}")
     assert run.returncode == 1 and "Truck is a scene of RGBT-Scenes: use dataset=rgbt_scenes" in run.stderr
 
@@ -54,4 +54,4 @@ def test_names_in_quotes_and_scenes_that_are_missing(tmp_path, small_scene):
              "budget.iterations=3", "metrics.lpips.download=false")  # fmt: skip
     run = command_here(tmp_path, "-m", *sweep)
     assert run.returncode == 1, run.stderr[-3000:]
-    assert "single: 2 cells, 1 without data\n" in run.stderr
+    assert "single: 2 cells, 1 of them without data\n" in run.stderr
