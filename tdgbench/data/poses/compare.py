@@ -11,7 +11,8 @@ import pycolmap
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
-from tdgbench.data.poses.references import READ, Reference, read_reference
+from tdgbench.data.poses import Reference
+from tdgbench.data.poses.references import READ, read_reference
 from tdgbench.scenes.errors import SceneError
 from tdgbench.terminal import say
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tdgbench.data.poses.metashape import lenses, read_chunk, read_xml, table_poses
+from tdgbench.data.poses import Reference
+from tdgbench.data.poses.metashape import read_metashape, table_poses
 from tdgbench.scenes import PointCloud
 from tdgbench.scenes.camera import check_pose
 from tdgbench.scenes.colmap import RegisteredImage, read_model
@@ -23,19 +23,6 @@ from tdgbench.scenes.names import key, view_names
 
 FRAMES = "perspective", "simple_radial", "radial", "brown"  # OpenSfM's cameras that OpenCV's model can say
 READ = "a scene, a COLMAP model, transforms.json, reconstruction.json, or Metashape's .xml, chunk.zip, .txt"
-
-
-class Reference(NamedTuple):
-    """What another program found. poses: world to camera (4, 4) in OpenCV axes, by view name.
-
-    lenses: none if they are not stated; raises SceneError for one that COLMAP cannot say.
-    """
-
-    poses: dict[str, np.ndarray]
-    lenses: Callable[..., list[CameraEntry]] = list  # all, or those of given ids
-    points: PointCloud | None = None
-    lens_ids: Mapping[str, int] = MappingProxyType({})  # of each view's lens, where the file says it
-    notes: Sequence[str] = ()  # on what the file holds beside
 
 
 def read_reference(path: Path) -> Reference:
@@ -64,12 +51,6 @@ def _read_folder(path: Path) -> Reference:
         return _of_images([*model.images.values()], model.points)
     found = layout.find(path)
     return _of_images([image for image in found.posed.values() if image.name in found.thermal], found.points)
-
-
-def _read_metashape(path: Path) -> Reference:
-    root = read_xml(path)
-    chunk = read_chunk(root, path)
-    return Reference(chunk.poses, lambda *ids: lenses(root, path, *ids), None, chunk.lenses, chunk.notes)
 
 
 def _of_images(images: list[RegisteredImage], points: PointCloud | None) -> Reference:
@@ -141,6 +122,6 @@ def _opensfm_lenses(model: Mapping[str, Any]) -> list[CameraEntry]:
 READERS: dict[str, Callable[[Path], Reference]] = {  # of files, by suffix
     ".json": _read_json,
     ".txt": lambda path: Reference(table_poses(path)),
-    ".xml": _read_metashape,
-    ".zip": _read_metashape,
+    ".xml": read_metashape,
+    ".zip": read_metashape,
 }

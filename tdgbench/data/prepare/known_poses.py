@@ -8,7 +8,7 @@ from pathlib import Path
 import pycolmap
 
 from tdgbench.data.folders import Stages
-from tdgbench.data.poses.references import Reference
+from tdgbench.data.poses import Reference
 from tdgbench.data.prepare.calibration import start_camera
 from tdgbench.data.prepare.capture import Capture
 from tdgbench.data.prepare.places import centres_of

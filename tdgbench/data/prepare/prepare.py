@@ -141,7 +141,14 @@ def _structure(
     if len(capture.views) < FEWEST_IMAGES:
         raise too_few(folder, len(capture.views), report)
     if poses is None:
-        structure = _reconstruct(capture, stages, _with_lens(sfm, report, capture.kind), positions)
+        sfm = _with_lens(sfm, report, capture.kind)
+        names = [view.image for view in capture.views.values()]
+        structure = reconstruct(capture.folder, names, stages, sfm, positions)
+        heights = {view.image: view.taken.height for view in capture.views.values() if view.taken.height is not None}
+        known_heights = [(structure.poses[image], heights[image]) for image in structure.poses if image in heights]
+        if structure.is_in_metres and known_heights:
+            focal, points = structure.camera.mean_focal_length(), structure.points.points
+            structure.notes.extend(doubted_by_height(known_heights, points, focal))
     else:
         reference = read_reference(poses)
         known = known_poses(poses, reference, capture, report)
@@ -153,19 +160,6 @@ def _structure(
             raise SceneError(f"{poses} states no lens: say it by --calibration FILE or --focal PX")
         structure = structure_of(known, capture.folder, capture.kind.rgb, stages, sfm)
     _note_structure(structure, capture, report)
-    return structure
-
-
-def _reconstruct(capture: Capture, stages: Stages, options: SfmOptions, positions: np.ndarray | None) -> Structure:
-    """Return what COLMAP finds; a focal length that contradicts the height of a drone is reported."""
-    structure = reconstruct(capture.folder, [view.image for view in capture.views.values()], stages, options, positions)
-    heights = {view.image: view.taken.height for view in capture.views.values() if view.taken.height is not None}
-    known = [image for image in structure.poses if image in heights]
-    if structure.is_in_metres and known:
-        poses, stated = [structure.poses[image] for image in known], [heights[image] for image in known]
-        focal = structure.camera.mean_focal_length()
-        doubt = doubted_by_height(poses, structure.points.points, stated, focal)
-        structure.notes.extend([] if doubt is None else [doubt])
     return structure
 
 

@@ -14,7 +14,6 @@ from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tdgbench.scenes.colmap import read_model
-from tests.helpers.command import tdgbench_here
 from tests.helpers.relief import BOARD, FOCAL, HEIGHT, WALL, WIDTH, places, write_relief
 
 CENTRES = places(3, 2)
@@ -118,5 +117,3 @@ def test_errors_say_what_to_do(tmp_path):
     options = opensfm(tmp_path / "a.json", ["x.png", "y.png"])
     with pytest.raises(SceneError, match=r"poses of 0 of 3 images \(x, y … against 00, 01 …\); 3 are needed. Rename"):
         prepare_scene(tmp_path / "camera", tmp_path / "scene", options)
-    run = tdgbench_here(tmp_path, "data", "prepare", "camera", "out", "--poses", "a.json", "--no-sfm")
-    assert run.returncode == 2 and "not allowed with argument --poses" in run.stderr

@@ -29,8 +29,7 @@ def test_no_model_is_one_error(tmp_path):
     for name in names:
         Image.fromarray(np.full((48, 64, 3), 128, np.uint8)).save(tmp_path / name)
     with pytest.raises(
-        SceneError,
-        match=r"COLMAP finds no model in 3 RGB images.*0 to 0 features and no verified.*Take more",
+        SceneError, match=r"COLMAP finds no model in 3 RGB images.*0 to 0 features and no verified.*Take more"
     ):
         reconstruct(tmp_path, names, Stages(tmp_path / "work"), SfmOptions(threads=1))
 
