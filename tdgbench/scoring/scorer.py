@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -163,16 +162,10 @@ def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> li
     """
     in_memory = max(1, PIXELS_AT_ONCE // max(1, pixels))
     workers = max(1, min(in_memory, pool.get_threads(), len(views)))
-    with one_torch_thread(), ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as executor:
-        return list(executor.map(function, views))
-
-
-@contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """Return a context in which torch computes on the calling thread alone."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        yield
+        with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as executor:
+            return list(executor.map(function, views))
     finally:
         torch.set_num_threads(before)

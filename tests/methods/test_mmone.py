@@ -135,12 +135,6 @@ def test_what_is_decomposed(model, changes, cloned):
     assert off == [count if cloned == "all" else 0, 0]
 
 
-def test_single_parts_are_not_decomposed(model):
-    model.gaussians.extra_fields[OPACITY_RGB][:] = -5.8  # 1/331
-    round_of(model)
-    assert float(model.gaussians.extra_fields[OPACITY_RGB].max()) < -5.7 and len(model) > 0
-
-
 def test_growth_ends_at_the_limit(model):
     count = len(model)
     model.density.rgb_sum[count // 2 :] = 0  # these are cloned
@@ -178,26 +172,6 @@ def test_a_reset_lowers_both_opacities_and_neither_takes_a_step(small_gray_scene
 
     train(trainer, after_iteration=look)
     assert all(float(of.max()) == pytest.approx(0.01, rel=1e-5) for of in seen)
-
-
-def test_a_training_decomposes(small_gray_scene):
-    trainer = ready_to_train(small_gray_scene, "mmone", 60, *OFTEN, NEVER)
-    train(trainer)
-    rgb, thermal = opacities(trainer.method.model)
-    assert int((rgb < 0.01).sum()) > 0 and not torch.equal(rgb, thermal)
-
-
-@pytest.mark.parametrize("background", ["black", "mean"])
-def test_rgb_is_rendered_over_black(small_gray_scene, background):
-    trainer = ready_to_train(small_gray_scene, "mmone", 3, f"budget.background={background}")
-    train(trainer)
-    model = trainer.method.model
-    model.gaussians.opacity_logits.fill_(-20)
-    model.gaussians.extra_fields[OPACITY_RGB].fill_(-20)
-    frame = trainer.context.frame(small_gray_scene.test[0])
-    rgb, gray = trainer.method.render(frame, "rgb").image, trainer.method.render(frame)
-    assert rgb.shape[2] == 3 and float(rgb.max()) == 0 and gray.depth is not None
-    assert float(gray.image.max()) == (0 if background == "black" else pytest.approx(model.background.item()))
 
 
 def test_another_density_control_is_refused(small_gray_scene):

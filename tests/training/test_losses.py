@@ -21,21 +21,6 @@ from tdgbench.training.losses import (
 from tests.helpers.masks import masks
 
 
-@pytest.mark.parametrize("shape", [(40, 30, 1), (37, 53, 3), (11, 11, 1), (1, 1, 3), (5, 90, 1)])
-def test_fused_ssim_is_the_torch_one(shape):
-    g = torch.Generator().manual_seed(0)
-    a = torch.rand(shape, generator=g)
-    b = (a + 0.2 * torch.randn(shape, generator=g)).clamp(0, 1)
-    fused = a.clone().requires_grad_()
-    value = ssim(fused, b)
-    value.backward()
-    exact = a.double().requires_grad_()
-    expected = ssim_map(exact, b.double()).mean()
-    expected.backward()
-    assert value.item() == pytest.approx(expected.item(), abs=1e-6)
-    assert (fused.grad - exact.grad).norm() < 1e-5 * exact.grad.norm()
-
-
 def test_the_window_of_ssim_is_a_convolution():
     g = torch.Generator().manual_seed(2)
     images = torch.rand(3, 1, 13, 17, generator=g, dtype=torch.float64).requires_grad_()
@@ -98,10 +83,11 @@ def test_fused_smoothness_is_the_torch_one(reading, shape):
 
 
 @pytest.mark.parametrize("weights", [(0.8, 0.2), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])
-def test_fused_l1_and_dssim_is_the_torch_one(weights):
+@pytest.mark.parametrize("shape", [(30, 23, 3), (37, 53, 1), (11, 11, 1), (1, 1, 3), (5, 90, 1)])
+def test_fused_l1_and_dssim_is_the_torch_one(weights, shape):
     g = torch.Generator().manual_seed(0)
-    image, target = torch.rand(30, 23, 3, generator=g), torch.rand(30, 23, 3, generator=g)
-    target[:5] = image[:5]  # where both are equal the gradient of L1 is zero
+    image, target = torch.rand(shape, generator=g), torch.rand(shape, generator=g)
+    target[: shape[0] // 6] = image[: shape[0] // 6]  # where both are equal the gradient of L1 is zero
     fast, exact = image.clone().requires_grad_(), image.double().requires_grad_()
     a, b = l1_and_dssim(fast, target, *weights), l1_and_dssim(exact, target.double(), *weights)
     (3 * a).backward()
