@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -14,16 +14,14 @@ from tdgbench.bench import failures
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.cell_phases import CellRun
 from tdgbench.bench.environment import describe_environment
-from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.machine import PeakMemory, exclusive_gpu, visible_gpus
 from tdgbench.bench.options import check_names, check_options
-from tdgbench.bench.outcome import Outcome, Status, finished
-from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.progress import CellProgress, Outcome, Status, finished
 from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.key import as_json, why_differs
-from tdgbench.cells.paths import RECORD_FILE, hidden_folder
+from tdgbench.cells.paths import RECORD_FILE, hidden_folder, short_name
 from tdgbench.cells.record import Failure, Record, readable_record, record_files
-from tdgbench.files import finish_replacement, put_in_place, whole_folder
+from tdgbench.files import file_lock, finish_replacement, put_in_place, whole_folder
 from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import MissingScenesError
 from tdgbench.splats.cpu import pool
@@ -157,6 +155,15 @@ def _outcome_without_run(existing: Record, record: Record, cfg: DictConfig) -> O
         changes = "; ".join(why_differs(existing, record))
         return Outcome("kept", record.title, f"overwrite=never keeps a result of other settings ({changes})")
     return None
+
+
+def cell_lock(experiment: Path, folder: Path) -> AbstractContextManager[bool]:
+    """Return a context that tries to lock the cell of `folder`, and tells whether it worked.
+
+    The system releases a lock when its process ends, for whatever reason. Lock files are never removed: that would let
+    a process that waits for the old file and one that makes a new file hold the lock at the same time.
+    """
+    return file_lock(experiment / "locks" / f"{short_name(experiment, folder)}.lock")
 
 
 def write_failure(folder: Path, record: Record, failure: Failure) -> bool:

@@ -11,7 +11,6 @@ import json
 from typing import Any
 
 from tdgbench.cells.key import flat
-from tdgbench.cells.record import Record
 
 VERSION = 1  # raise it with every change of a metric, a split or a reader that changes a score
 MEASURED_ON = ("split", "channels", "temperature_range", "views", "masked")  # fields of Record, beside its data
@@ -44,16 +43,3 @@ def protocol_of(config: dict[str, Any], version: int | str = VERSION) -> str:
     """
     settings = json.dumps(protocol_settings(config), sort_keys=True)
     return f"{version}-{hashlib.sha256(settings.encode()).hexdigest()[:8]}"
-
-
-def protocols_apart(a: Record, b: Record) -> str:
-    """Say in what the protocols of two records differ; empty if they are one."""
-    if a.protocol == b.protocol:
-        return ""
-    mine, theirs = protocol_settings(a.config), protocol_settings(b.config)
-    names = sorted(name for name in {*mine, *theirs} if mine.get(name) != theirs.get(name))
-    changes = [f"{name}: {json.dumps(mine.get(name))}, {json.dumps(theirs.get(name))}" for name in names]
-    versions = [record.protocol.partition("-")[0] or "none" for record in (a, b)]
-    if versions[0] != versions[1]:
-        changes.append(f"number of the protocol: {versions[0]}, {versions[1]}")
-    return "; ".join(changes)

@@ -10,8 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from tdgbench import __version__
-from tdgbench.bench.lock import file_lock
-from tdgbench.files import whole_folder
+from tdgbench.files import file_lock, whole_folder
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.inputs import is_there
 

@@ -13,8 +13,8 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from tdgbench.bench.failures import message
-from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.options import check_options
+from tdgbench.bench.run_cell import cell_lock
 from tdgbench.cells.folder import CellFolder, read_cells
 from tdgbench.cells.key import as_json, relevant_metrics
 from tdgbench.cells.known_classes import add_trust_arguments, extra_of, trust, trust_also

@@ -74,13 +74,3 @@ def test_a_verdict_makes_no_finished_cell_run_again(run, tmp_path, auto_is):
     assert first.notes[-1] == "backend: the CPU trains, not A: it is wrong"
     assert second.notes[-1] == "backend: A trains: it agrees"
     assert not any("backend" in note for note in named.notes)
-
-
-def test_a_checkpoint_of_another_backend_is_not_used(run, tmp_path, monkeypatch, auto_is):
-    with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
-        killed_at(5, patch)
-        run(tmp_path, "checkpoint=0")
-    auto_is("reference", "A trains: it agrees")
-    assert run(tmp_path).status == "ok"
-    (record,) = read_all(tmp_path / "single")
-    assert record.resumed == [] and any("not used: other backend (iteration 5)" in note for note in record.notes)

@@ -137,12 +137,6 @@ def test_options_that_the_experiment_sets_itself_are_refused(experiment, word, i
     assert str(error.value).startswith(f"{word}: is set by the experiment; give {instead}")
 
 
-def test_a_typed_option_is_refused_before_a_run(tmp_path):
-    run = command_here(tmp_path, "+experiment=skips", "seed=3")
-    assert run.returncode == 1 and run.stdout == ""
-    assert run.stderr.startswith("error: seed=3: is set by the experiment; give study.seeds=[0,...]"), run.stderr
-
-
 def test_a_sweep_whose_jobs_would_replace_one_another_is_refused(tmp_path):
     for name in ("error_time", "skips", "stress", "priors", "thermal_camera"):
         assert experiment_of(config(f"+experiment={name}")).one_job

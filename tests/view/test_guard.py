@@ -338,13 +338,6 @@ def test_no_choice_harms_anyone(viewer, label, values):
     assert other.is_served()
 
 
-def test_no_click_harms_anyone(viewer):
-    page = viewer.page()
-    assert page.is_served()
-    page.socket.send(click([-3, 7]))
-    assert page.is_served()
-
-
 def test_an_error_of_the_rendering_is_shown_to_its_client_alone(viewer, monkeypatch):
     page, other = viewer.page(), viewer.page()
     assert page.is_served() and other.is_served()

@@ -10,11 +10,10 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
-from tdgbench.bench.lock import file_lock
 from tdgbench.data.get.packages import Package, packages_of, scenes_in, unpack
 from tdgbench.data.get.sources import SOURCES, ZENODO, BadFileError, GetError, PublishedDataset, download, list_files
 from tdgbench.data.progress import amount, step
-from tdgbench.files import whole_folder
+from tdgbench.files import file_lock, whole_folder
 from tdgbench.scenes.inputs import is_folder, is_hidden, is_there, listed, read_bytes
 from tdgbench.terminal import say
 from tdgbench.text import one_line

@@ -11,9 +11,7 @@ from pathlib import Path
 import pytest
 
 from tdgbench.bench.backend_check import check as checking
-from tdgbench.bench.backend_check import choose as choosing
 from tdgbench.bench.backend_check.check import BackendCheck, check_in_new_process
-from tdgbench.bench.backend_check.choose import auto, choose
 from tdgbench.splats.backends import ON_GPU
 from tests.helpers.backends import need
 
@@ -66,15 +64,6 @@ def test_the_process_that_is_started_is_the_check(monkeypatch, capsys):
     monkeypatch.setattr("torch.cuda.device", contextlib.nullcontext)
     checking.main()
     assert BackendCheck(**json.loads(capsys.readouterr().out)).reason == ""
-
-
-def test_without_a_gpu_no_process_is_started(monkeypatch):
-    monkeypatch.setattr(choosing, "choose", choose)
-    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
-    monkeypatch.setattr(checking, "run_limited", lambda *args, **kwargs: pytest.fail("a process"))
-    auto.cache_clear()
-    assert auto().backend == "cpu"
-    auto.cache_clear()
 
 
 @pytest.mark.cuda

@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from tdgbench import archives
-from tdgbench.bench.lock import file_lock
 from tdgbench.data.get.command import DOWNLOADS, RECORD, fetch
 from tdgbench.data.get.packages import packages_of
 from tdgbench.data.get.sources import SOURCES, GetError, list_files
+from tdgbench.files import file_lock
 from tests.helpers.archives import scene_files, zipped
 from tests.helpers.command import tdgbench_here
 from tests.helpers.paths import ROOT
