@@ -7,14 +7,14 @@ else is `undecided`; one seed decides nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from tdgbench.tables import methods
-from tdgbench.tables.equal_data import equal_scenes
+from tdgbench.tables.equal_data import Place
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, MEASURES, OVERALL, PUBLISHED, TRAINING, gain, half_unit
 from tdgbench.tables.methods import MethodPair
@@ -116,13 +116,14 @@ def with_bold(rows: pd.DataFrame, by_seed: pd.DataFrame, within: Sequence[str]) 
     return rows.assign(bold=bold)
 
 
-def compare_methods(cells: pd.DataFrame, main: pd.DataFrame, finished: Sequence[Cell]) -> list[MethodComparison]:
+def compare_methods(
+    cells: pd.DataFrame, main: pd.DataFrame, finished: Sequence[Cell], equal: Collection[Place] = ()
+) -> list[MethodComparison]:
     """Compare every method of a main table with its baseline (`methods.baselines`), where the table has both.
 
-    cells: `cell_rows`. finished: the cells behind them. Scenes of equal data count once, those of unlike trainings
-    (column `training` of main) not at all, and times only of seeds for which one machine ran both methods.
+    cells: `cell_rows`. finished: the cells behind them. equal: scenes of the data of others (`equal_scenes`), which do
+    not count. Nor do those of unlike trainings (column `training` of main), nor times of two machines, seed by seed.
     """
-    equal = equal_scenes(cell.record for cell in finished)
     once = [place not in equal for place in zip(cells["dataset"], cells["scene"], strict=True)]
     counted = cells[np.array(once, dtype=bool) & ~cells["metric"].isin(TRAINING)]
     scored = main.loc[main["metric"].isin(PUBLISHED) & main["value"].notna(), "method"].unique()

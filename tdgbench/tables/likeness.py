@@ -74,8 +74,11 @@ class Trainings:
             self._found[place] = [one for one in found if not (timed and one.name.startswith(OF_SCORES))]
         return self._found[place]
 
-    def set_apart(self, table: pd.DataFrame) -> pd.DataFrame:
-        """Return a main table with COLUMN; numbers of unlike trainings in one column are n/a, with the reason."""
+    def set_apart(self, table: pd.DataFrame) -> tuple[pd.DataFrame, list[str], list[str]]:
+        """Return a main table with COLUMN, notes on differences, and problems: numbers that are n/a.
+
+        Those of unlike trainings in one column are, with the reason.
+        """
         is_timed = table["metric"] == HOURS.name
         places = list(zip(table["method"], table["dataset"], table["scene"], is_timed, strict=True))
         texts, reasons = {}, {}
@@ -93,9 +96,9 @@ class Trainings:
         numbers = [name for name in ("value", "std", "ci95_low", "ci95_high") if name in table]
         table.loc[is_mixed, numbers] = float("nan")
         table.loc[is_mixed, "reason"] = unlike[is_mixed]
-        return table
+        return table, self._notes(), _problems(table)
 
-    def notes(self) -> list[str]:
+    def _notes(self) -> list[str]:
         """Return a line for each difference: what differs, its values, and the columns and scenes that have them."""
         scenes = list(dict.fromkeys((record.dataset, record.scene) for record, *_ in self._cells))
         averages = [(dataset, AVERAGE) for dataset in dict.fromkeys(dataset for dataset, _ in scenes)]
@@ -138,7 +141,7 @@ def setups(records: Sequence[Record], timed: bool = False, with_length: bool = F
             name: AUTHORS if isinstance(value, _Own) else value for name, value in traits.items()
             if name not in left_out and not name.startswith((*OF_A_COLUMN, "prior."))
         }  # fmt: skip
-        place = [record.dataset, record.scene, record.data, record.split]
+        place = [record.dataset, record.scene, record.split]
         found.append(json.dumps([*place, kept], sort_keys=True, default=str))
     return found
 
@@ -148,7 +151,7 @@ def machine(record: Record) -> tuple[str, ...]:
     return tuple(str(record.environment.get(name)) for name in MACHINE.values())
 
 
-def problems_of(table: pd.DataFrame) -> list[str]:
+def _problems(table: pd.DataFrame) -> list[str]:
     """Return a problem for each column and scene of a main table whose mean is of unlike trainings."""
     unlike = table[table["reason"].str.contains(UNLIKE, regex=False)]
     places = unlike[["method", "dataset", "scene", "reason"]].drop_duplicates()
@@ -213,7 +216,7 @@ def _traits(records: Sequence[Record]) -> list[dict[str, object]]:
     """
     versions: dict[str, str] = {}
     return [
-        _traits_of(one) | ({"tdgbench": versions.setdefault(one.code, _version(one))} if one.code else {})
+        _traits_of(one) | ({"tdgbench": versions.setdefault(one.code, version(one))} if one.code else {})
         for one in records
     ]
 
@@ -241,7 +244,7 @@ def _traits_of(record: Record) -> dict[str, object]:
     return traits | {name: value for name, value in others.items() if value}
 
 
-def _version(record: Record) -> str:
+def version(record: Record) -> str:
     """Return version and commit, as `0.1.0 (2f683cd)`."""
     packages, git = (
         part if isinstance(part, dict) else {} for part in map(record.environment.get, ("packages", "git"))

@@ -49,10 +49,13 @@ def seed_values(cells: pd.DataFrame) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True).set_index(KEYS)[list(by_seed)]
 
 
-def over_seeds(cells: pd.DataFrame) -> pd.DataFrame:
-    """Return KEYS, seeds (their number) and std (sample standard deviation; NaN below two) of `cell_rows`."""
-    seeds = seed_values(cells)
-    return pd.DataFrame({"seeds": seeds.count(axis=1), "std": seeds.std(axis=1)}).reset_index()
+def with_seeds(rows: pd.DataFrame, cells: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the rows with seeds (their number) and std (sample standard deviation; NaN below two); values by seed.
+
+    rows: have KEYS. cells: `cell_rows`. The values are `seed_values` with the rows' index.
+    """
+    by_seed = seed_values(cells).reindex(pd.MultiIndex.from_frame(rows[KEYS])).set_index(rows.index)
+    return rows.assign(seeds=by_seed.count(axis=1), std=by_seed.std(axis=1)), by_seed
 
 
 def intervals(cells: Iterable[Cell]) -> pd.DataFrame:

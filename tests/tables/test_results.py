@@ -193,14 +193,3 @@ def test_views_without_a_metric_have_none(tmp_path):
 def test_labels(tmp_path):
     assert Cell(tmp_path, record()).label == "tdg"
     assert Cell(tmp_path, record(init="random", seed=2)).label == "tdg (random), seed 2"
-
-
-def test_setup_ignores_method_seed_and_length(tmp_path):
-    def config(method, iterations, sh_every):
-        return {"method": method, "budget": {"iterations": iterations, "sh_every": sh_every}, "metrics": "3dgs"}
-
-    a, b, c = (Cell(tmp_path, record(config=config(*one))) for one in (("tdg", 9, 5), ("msmg", 10, 5), ("tdg", 9, 6)))
-    assert a.settings_key == b.settings_key != c.settings_key and (a.planned_iterations, b.planned_iterations) == (
-        9,
-        10,
-    )

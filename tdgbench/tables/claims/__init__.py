@@ -75,6 +75,8 @@ def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
         if evidence.is_of_one_seed:
             finding = Finding(UNDECIDED, finding.grounds)
             parts.append("one seed decides nothing")
+        elif finding.verdict == UNDECIDED:
+            parts.append("95 % intervals over seeds leave it open")
     if claim.gain:
         parts.append(gain_against_spread(evidence.main, claim.metrics or [claim.metric]))
     return Finding(finding.verdict, "; ".join(part for part in parts if part))

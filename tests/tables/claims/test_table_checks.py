@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pandas as pd
 import pytest
 
 from tdgbench.tables.claims import check_claim, load_claims
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEvidence
+from tdgbench.tables.measures import KEYS
 from tdgbench.tables.published import published_ablation, published_main
 
 PUBLISHED = ClaimEvidence(published_main(), published_ablation(), printed=True)
@@ -109,3 +111,18 @@ def test_ours_has_no_second_table_that_could_disagree():
 def test_one_scene_is_enough_for_what_is_said_of_scenes():
     one = ClaimEvidence(published_main().query("scene == 'Lion'"), None, printed=False)
     assert check_claim(CLAIMS["thermalmix-within"], one).verdict == HOLDS
+
+
+@pytest.mark.parametrize(
+    ("claim", "noise"),
+    [("psnr-averages", 0.1), ("time-minutes", 0.1), ("time-percent", 0.1), ("faster-everywhere", 0.5),
+     ("thermalmix-within", 1.0), ("most-cases", 5.0), ("thermalmix-mixed", 5.0)],
+)  # fmt: skip
+def test_an_interval_over_seeds_that_reaches_both_sides_decides_nothing(claim, noise):
+    table = published_main()
+    values, is_tdg = table.set_index(KEYS)["value"], (table["method"] == "tdg").to_numpy()
+    for size, verdict in ((0.0, HOLDS), (noise, UNDECIDED)):
+        by_seed = pd.DataFrame({seed: values + is_tdg * size * (seed - 1) for seed in range(3)})
+        found = check_claim(CLAIMS[claim], ClaimEvidence(table, None, printed=False, by_seed=by_seed))
+        assert found.verdict == verdict, found.grounds
+    assert "95 % intervals over seeds leave it open" in found.grounds
