@@ -75,10 +75,9 @@ class Layout:
 def find_scene(
     folder: Path, places: Iterable[str], title: str, modality: tuple[str, str], thermal: Images, rgb: Images
 ) -> SceneFiles:
-    """Pair the images of a scene with its COLMAP model, below the first of `places` that has one.
+    """Pair the images of a scene with its COLMAP model, below the first of `places` that has one. Raises SceneError.
 
     modality: folders of images with the thermal images' poses and of others in the model's names, where it has both.
-    Raises SceneError.
     """
     kept = {one: thermal.paths[one] for one in of_modality(thermal.paths, *modality)}
     if apart := thermal.paths.keys() - kept.keys():
@@ -139,8 +138,8 @@ def _registered_pairs(
 
     An RGB image whose pose or lens is another one is no registered pair.
     """
-    files = pair(rgb.paths, _keys(posed), f"{folder}: RGB")
-    own = {file: others[name] for name, file in pair(rgb.paths, _keys(others), f"{folder}: RGB").items()}
+    files, in_others = (pair(rgb.paths, _keys(some), f"{folder}: RGB") for some in (posed, others))
+    own = {file: others[name] for name, file in in_others.items()}
     apart = {view for view, file in files.items() if others and not _same_camera(own.get(file), posed[view])}
     notes = [
         f"{len(apart)} RGB images have no pose and lens in the model that equal the thermal image's, so they are no "
@@ -150,9 +149,11 @@ def _registered_pairs(
 
 
 def _same_camera(one: RegisteredImage | None, other: RegisteredImage) -> bool:
-    if one is None or one.lens != other.lens:
-        return False
-    return np.allclose(one.camera.world_to_camera, other.camera.world_to_camera, rtol=0, atol=SAME_POSE)
+    return (
+        one is not None
+        and one.lens == other.lens
+        and np.allclose(one.camera.world_to_camera, other.camera.world_to_camera, rtol=0, atol=SAME_POSE)
+    )
 
 
 def find_images(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> Images:
