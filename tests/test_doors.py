@@ -73,7 +73,7 @@ DOORS = {
         "torch.hub.load_state_dict_from_url": NAMED,
     },
     "tdgbench/scoring/lpips.py": {"torch.load": "the lpips package"},
-    "tdgbench/scoring/registry.py": {"importlib.import_module": "the modules of scoring/metrics"},
+    "tdgbench/scoring/registry.py": {"importlib.import_module": "modules of scoring/metrics, and the user's"},
     "tdgbench/site/budgets.py": {"OmegaConf.load": "YAML of conf/"},
     "tdgbench/site/site_pages.py": {"path.read_text": OURS},
     "tdgbench/splats/backends/__init__.py": {"importlib.import_module": "a name of a table of ours"},

@@ -44,7 +44,7 @@ def trust(config_dirs: Iterable[Path] = (), targets: Iterable[str] = ()) -> None
     trust_also(targets)
     for folder in config_dirs:
         files = {group: sorted((folder / group).glob("*.yaml")) for group in ("method", "metrics")}
-        extra = [name for path in files["metrics"] for name in OmegaConf.load(path).get("extra") or ()]
+        extra = [name for path in files["metrics"] for name in OmegaConf.select(OmegaConf.load(path), "extra") or ()]
         found = {*_targets(files["method"]), *extra}
         if not found:
             raise ValueError(

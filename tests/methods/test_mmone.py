@@ -93,20 +93,6 @@ def test_loss_and_gradients_are_those_of_the_reference(small_gray_scene):
         assert relative(ours.reshape(theirs.shape), theirs.grad) < 1e-5, name
 
 
-@pytest.mark.parametrize("reading", ["released", "described"])
-def test_a_decomposed_gaussian_keeps_or_loses_its_thermal_part(model, reading):
-    count = len(model)
-    change = round_of(model, decompose=reading)
-    assert (change.cloned, change.split, change.pruned) == (count, 0, 0) and len(model) == 2 * count
-    rgb, thermal = opacities(model)
-    is_copy = torch.isclose(rgb, torch.tensor(OFF))
-    assert int(is_copy.sum()) == count and (thermal[is_copy] > 0.7).all() and (rgb[~is_copy] > 0.7).all()
-    if reading == "released":
-        assert (thermal[~is_copy] > 0.7).all()
-    else:
-        assert torch.allclose(thermal[~is_copy], torch.tensor(OFF))
-
-
 def test_a_switched_off_opacity_stays_off(small_gray_scene):
     """Without gradient, and without moments that go on moving it."""
     often = ("budget.density.start=5", "budget.density.every=10", "budget.density.stop=12", NEVER)
@@ -117,48 +103,11 @@ def test_a_switched_off_opacity_stays_off(small_gray_scene):
         assert int((off - OFF).abs().lt(1e-6).sum()) > 50
 
 
-@pytest.mark.parametrize(
-    "changes, cloned",
-    [
-        ({}, "all"),
-        ({"decompose_threshold": 3.1e-4}, "as usual"),
-        ({"active_opacity": 0.8}, "as usual"),
-        ({"max_gaussians": 5000}, "all"),
-        ({"decompose_threshold": 3.1e-4, "grad_threshold": 3.1e-4}, "none"),
-    ],
-)
-def test_what_is_decomposed(model, changes, cloned):
-    """The others are cloned, with both opacities."""
-    count = len(model)
-    assert round_of(model, **changes).cloned == (0 if cloned == "none" else count)
-    off = [int((of < 0.01).sum()) for of in opacities(model)]
-    assert off == [count if cloned == "all" else 0, 0]
-
-
 def test_growth_ends_at_the_limit(model):
     count = len(model)
     model.density.rgb_sum[count // 2 :] = 0  # these are cloned
     assert round_of(model, max_gaussians=count + count // 2 + 10).cloned == count // 2 + 10
     assert len(model) == count + count // 2 + 10
-
-
-@pytest.mark.parametrize(
-    "rgb, thermal, kept, stays",
-    [(0.004, 0.6, 0.5, True), (0.004, 0.4, 0.5, False), (0.4, 0.004, 0.5, False), (0.4, 0.004, 0.3, True),
-     (0.006, 0.006, 0.5, True)],
-)  # fmt: skip
-@pytest.mark.parametrize("decompose", ["released", "described"])
-def test_pruning_spares_what_one_modality_needs(model, rgb, thermal, kept, stays, decompose):
-    count, all_of = len(model), model.gaussians
-    model.density.grad_sum[:] = 0
-    all_of.extra_fields[OPACITY_RGB][0], all_of.opacity_logits[0] = torch.tensor([rgb, thermal]).logit()
-    change = round_of(model, kept_opacity=kept, decompose=decompose)
-    assert change.pruned == (not stays) and len(model) == count - change.pruned
-    if stays:
-        found = [float(of.min()) for of in opacities(model)]
-        expected = [OFF if decompose == "described" and min(rgb, thermal) < 0.005 and of < 0.005 else of for of in
-                    (rgb, thermal)]  # fmt: skip
-        assert found == pytest.approx([min(of, 0.7310586) for of in expected], rel=1e-5)
 
 
 def test_a_reset_lowers_both_opacities_and_neither_takes_a_step(small_gray_scene):

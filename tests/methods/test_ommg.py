@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from methods.mmone import OPACITY_RGB
-from methods.ommg import SH_RGB, with_both_colors, with_rgb_colors
+from methods.ommg import with_both_colors, with_rgb_colors
 from tdgbench.training.images import RGB
 from tdgbench.training.losses import photometric, thermal_loss
-from tests.helpers.training import OFTEN, ready_to_train, take_gradients, train
+from tests.helpers.training import ready_to_train, take_gradients, train
 
 
 @pytest.mark.parametrize("scene", ["small_gray_scene", "small_scene"])
@@ -20,16 +20,6 @@ def test_the_loss_is_half_of_both(scene, request):
     expected = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], 0.2).item()
     expected += thermal_loss(step.render.image, step.target, 0.2, 0.6, "released").item()
     assert step.loss.item() == pytest.approx(expected / 2, rel=1e-5)
-
-
-def test_both_colour_sets_start_from_the_points_and_are_cloned_together(small_scene):
-    trainer = ready_to_train(small_scene, "ommg", 60, *OFTEN)
-    model = trainer.method.model
-    assert torch.equal(model.gaussians.sh, model.gaussians.extra_fields[SH_RGB])
-    before = len(model)
-    train(trainer)
-    assert len(model) > before and len(model.gaussians.extra_fields[SH_RGB]) == len(model)
-    assert not torch.equal(model.gaussians.sh, model.gaussians.extra_fields[SH_RGB])
 
 
 def test_density_control_reads_one_gradient_of_the_sum(small_gray_scene):

@@ -7,7 +7,7 @@ import torch
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.losses import fused_losses
 from tdgbench.splats.cpu.losses.fused_losses import PreparedTargets
-from tdgbench.splats.torch_losses import Blur, ValidPixels, ssim_map
+from tdgbench.splats.torch_losses import ValidPixels, ssim_map
 from tdgbench.training.losses import (
     inverse_expected_depth,
     l1,
@@ -19,19 +19,6 @@ from tdgbench.training.losses import (
     thermal_loss,
 )
 from tests.helpers.masks import masks
-
-
-def test_the_window_of_ssim_is_a_convolution():
-    g = torch.Generator().manual_seed(2)
-    images = torch.rand(3, 1, 13, 17, generator=g, dtype=torch.float64).requires_grad_()
-    offsets = torch.arange(11, dtype=torch.float64) - 5
-    weights = torch.exp(-(offsets**2) / (2 * 1.5**2))
-    window = torch.outer(weights, weights) / weights.sum() ** 2
-    expected = torch.nn.functional.conv2d(images, window[None, None], padding=5)
-    upstream = torch.rand(expected.shape, generator=g, dtype=torch.float64)
-    (want,) = torch.autograd.grad(expected, images, upstream)
-    (got,) = torch.autograd.grad(Blur.apply(images), images, upstream)
-    assert torch.allclose(Blur.apply(images), expected, atol=1e-12) and torch.allclose(got, want, atol=1e-12)
 
 
 @pytest.mark.parametrize("reading", ["written", "released"])
