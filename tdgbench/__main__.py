@@ -49,7 +49,7 @@ def main() -> int:
                 return interruption.status
             if wants_traceback:
                 raise
-            from tdgbench.experiments.error_message import error_message
+            from tdgbench.bench.failures import error_message
 
             say(error_message(error, sys.argv[1:]), "error:", stderr=True)
             return 1

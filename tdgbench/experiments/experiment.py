@@ -18,6 +18,7 @@ from hydra.experimental.callback import Callback
 from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig
 
+from tdgbench.bench.failures import error_message
 from tdgbench.bench.options import (
     OptionError,
     check_experiment_options,
@@ -27,7 +28,6 @@ from tdgbench.bench.options import (
 )
 from tdgbench.bench.signature import Problem
 from tdgbench.cells.plan import swept, swept_over_nothing
-from tdgbench.experiments.error_message import error_message
 from tdgbench.priors import prepare
 from tdgbench.signals import end_with_parent
 from tdgbench.terminal import guard_streams, say

@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from tdgbench.bench.failures import message
+from tdgbench.bench.failures import error_message, message
 from tdgbench.bench.options import check_options
 from tdgbench.bench.run_cell import cell_lock
 from tdgbench.cells.folder import CellFolder, read_cells
@@ -21,7 +21,6 @@ from tdgbench.cells.known_classes import add_trust_arguments, extra_of, trust, t
 from tdgbench.cells.metric_settings import metric_settings, scorer_of
 from tdgbench.cells.paths import cell_folder_of
 from tdgbench.cells.plan import read_plan
-from tdgbench.experiments.error_message import error_message
 from tdgbench.experiments.sweep.finish import write_all
 from tdgbench.files import whole_folder
 from tdgbench.packs import opened_pack

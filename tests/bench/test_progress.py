@@ -12,21 +12,12 @@ from tdgbench.cells.record import Failure
 from tdgbench.training.loop import LogLine
 from tdgbench.training.trainer import LastIteration
 from tests.helpers.records import record, write
-
-
-class Clock:
-    """Seconds that pass when a test says so."""
-
-    def __init__(self) -> None:
-        self.seconds = 1000.0
-
-    def __call__(self) -> float:
-        return self.seconds
+from tests.helpers.waiting import Clock
 
 
 @pytest.fixture
 def clock():
-    return Clock()
+    return Clock(1000.0)
 
 
 def line(iteration: int) -> LogLine:

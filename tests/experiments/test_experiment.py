@@ -10,8 +10,8 @@ from unittest import mock
 import pytest
 from omegaconf import OmegaConf
 
+from tdgbench.bench.failures import error_message
 from tdgbench.bench.options import OptionError
-from tdgbench.experiments.error_message import error_message
 from tdgbench.experiments.experiment import check_results_folder, experiment_of
 from tests.helpers.command import command_here
 from tests.helpers.configs import config

@@ -365,15 +365,6 @@ def test_an_error_of_a_control_is_shown_to_its_client(viewer):
     assert page.is_served()
 
 
-def test_fifty_pages_at_once_are_served(viewer):
-    pages = [viewer.page() for _ in range(50)]
-    for page in pages:
-        page.move()
-    assert all(page.is_served(60) for page in pages)
-    viewer.close()
-    waited(lambda: not viewer.viewer._sessions and not viewer.server.get_clients(), 30, "all are forgotten")
-
-
 def test_a_page_that_leaves_at_once_is_forgotten(viewer, monkeypatch):
     from tdgbench.view import server
 

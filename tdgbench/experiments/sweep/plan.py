@@ -37,12 +37,13 @@ def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
     Returns the number of cells, or of scenes where the sweeper decides on the cells, and how many of them are not on
     disk. Raises SystemExit(1) for an unknown scene.
     """
+    composed: dict[tuple[str, ...], DictConfig] = {}
     try:
-        scenes, missing = _scenes_of(cfg)
+        scenes, missing = _scenes_of(cfg, configs_by(cfg, ("dataset", "data"), composed))
     except SceneError as error:
         say(str(error), "error:", stderr=True)
         raise SystemExit(1) from error
-    for message in unavailable_priors(configs_by(cfg, ("method", "dataset", "prior"))):
+    for message in unavailable_priors(configs_by(cfg, ("method", "dataset", "prior"), composed)):
         say(f"{message}\n  cells of methods without a prior run", "error:", stderr=True)
     known = number_of_jobs(cfg)
     jobs = known or max(len(scenes), 1)
@@ -56,20 +57,20 @@ def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
     plan.commands = [*(one for one in before.commands if one.words != plan.commands[0].words), *plan.commands]
     plan.own_methods = before.own_methods | _own_methods(cfg)
     plan.own_metrics = before.own_metrics
-    for one in filter(_is_allowed, configs_by(cfg, ("metrics",))):
+    for one in filter(_is_allowed, configs_by(cfg, ("metrics",), composed)):
         plan.own_metrics |= entries_of(OmegaConf.select(one, "metrics.extra") or ())
     plan.write(experiment)  # for the tables
     plan.write(Path(cfg.hydra.sweep.dir))  # for the jobs: another sweep may replace the other one meanwhile
     return jobs, without_data
 
 
-def _scenes_of(cfg: DictConfig) -> tuple[list[Description], float]:
+def _scenes_of(cfg: DictConfig, by_dataset: Iterable[DictConfig]) -> tuple[list[Description], float]:
     """Return the scenes of each data set of a sweep, and the share of its cells whose scene is not on disk.
 
     Scenes that are not are printed. Cells with options that are not allowed fail by themselves: they are none of these.
     Raises SceneError for an unknown scene.
     """
-    scenes, missing, configs = list[Description](), 0.0, list(configs_by(cfg, ("dataset", "data")))
+    scenes, missing, configs = list[Description](), 0.0, list(by_dataset)
     for one in filter(_is_allowed, configs):
         dataset: Dataset = instantiate(one.dataset.loader)
         described = [dataset.describe(name) for name in swept(cfg).get("scene") or [one.scene]]
