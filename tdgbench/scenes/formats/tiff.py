@@ -148,8 +148,8 @@ def _decode(source: Source) -> Decoded:
     if header.meaning == "shown" and is_inverted:
         values = np.uint8(255) - values
     if nodata is not None:
-        number = float(str(nodata).strip("\0 "))
-        is_data = ~np.isnan(values) if math.isnan(number) else values != values.dtype.type(number)
+        none = float(str(nodata).strip("\0 "))
+        is_data = ~np.isnan(values) if math.isnan(none) else values != values.dtype.type(none)
         valid = _both(valid, np.asarray(is_data.all(axis=2)))
     return Decoded(values, header, valid)
 

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import SUFFIXES
+from tdgbench.scenes.formats import SUFFIXES
 from tdgbench.scenes.inputs import is_folder
 from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, find_images, find_scene, model_folders
 from tdgbench.scenes.registry import DATASETS

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import SUFFIXES
+from tdgbench.scenes.formats import SUFFIXES
 from tdgbench.scenes.inputs import is_there, read_bytes, regular_file
 from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, by_view, find_images, find_masks, model_folders
 from tdgbench.scenes.layouts.transforms import POINTS, Transforms, read_points, read_transforms, there, where_they_are
