@@ -7,7 +7,6 @@ import torch
 
 from methods.mmone import OPACITY_RGB, SH_RGB, as_rgb
 from tdgbench.splats.backends import load_backend
-from tdgbench.splats.density import DensityChange
 from tdgbench.splats.view import Pinhole, RenderOptions
 from tdgbench.training.images import RGB, THERMAL
 from tdgbench.training.losses import photometric, thermal_loss
@@ -22,25 +21,6 @@ NEVER = "budget.density.opacity_reset_every=100000"
 def opacities(model) -> tuple[torch.Tensor, torch.Tensor]:
     """Return those of RGB and of thermal images (N,)."""
     return model.gaussians.extra_fields[OPACITY_RGB].sigmoid().squeeze(1), model.gaussians.opacities
-
-
-@pytest.fixture
-def model(small_gray_scene):
-    """Return Gaussians whose modalities pull them apart, all of them small and opaque, before a round."""
-    model = ready_to_train(small_gray_scene, "mmone", 1000).method.model
-    model.gaussians.opacity_logits[:] = 1.0
-    model.gaussians.extra_fields[OPACITY_RGB][:] = 1.0
-    model.gaussians.log_scales[:] = -12.0
-    model.density.view_counts[:] = 2
-    model.density.grad_sum[:] = 2 * 3e-4
-    model.density.rgb_sum[:, 0] = 2 * 3e-4
-    return model
-
-
-def round_of(model, decision=None, **rules) -> DensityChange:
-    model.density.rules = replace(model.density.rules, **rules)
-    iteration = next(i for i in range(1, 1000) if model.density.is_round(i))
-    return model.density.update(model.optimizer, iteration, torch.Generator().manual_seed(0), decision)
 
 
 def test_both_modalities_start_alike(small_scene):
@@ -103,11 +83,21 @@ def test_a_switched_off_opacity_stays_off(small_gray_scene):
         assert int((off - OFF).abs().lt(1e-6).sum()) > 50
 
 
-def test_growth_ends_at_the_limit(model):
+def test_growth_ends_at_the_limit(small_gray_scene):
+    """Modalities pull half of the Gaussians apart, which are copied; the others are cloned as far as the limit."""
+    model = ready_to_train(small_gray_scene, "mmone", 1000).method.model
+    model.gaussians.opacity_logits[:] = 1.0
+    model.gaussians.extra_fields[OPACITY_RGB][:] = 1.0
+    model.gaussians.log_scales[:] = -12.0
+    model.density.view_counts[:] = 2
+    model.density.grad_sum[:] = 2 * 3e-4
     count = len(model)
-    model.density.rgb_sum[count // 2 :] = 0  # these are cloned
-    assert round_of(model, max_gaussians=count + count // 2 + 10).cloned == count // 2 + 10
-    assert len(model) == count + count // 2 + 10
+    model.density.rgb_sum[: count // 2, 0] = 2 * 3e-4
+    model.density.rules = replace(model.density.rules, max_gaussians=count + count // 2 + 10)
+    iteration = next(i for i in range(1, 1000) if model.density.is_round(i))
+    change = model.density.update(model.optimizer, iteration, torch.Generator().manual_seed(0))
+    assert change.cloned == count // 2 + 10 and len(model) == count + count // 2 + 10
+    assert int((opacities(model)[0] < 0.01).sum()) == count // 2
 
 
 def test_a_reset_lowers_both_opacities_and_neither_takes_a_step(small_gray_scene):
