@@ -5,6 +5,7 @@ from __future__ import annotations
 import pkgutil
 import re
 import runpy
+import shlex
 import tomllib
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from tdgbench import __version__
+from tdgbench.bench.options import check_options
 from tdgbench.data.export import FORMATS
 from tdgbench.data.get.sources import SOURCES
 from tdgbench.scenes.options import SPLITS
@@ -220,3 +222,19 @@ def test_the_files_and_modules_that_a_page_names_are_there(page):
     assert {name for name in ours if not any((root / name).exists() for root in (ROOT, ROOT / "tdgbench"))} == set()
     for name in set(re.findall(r"`(tdgbench(?:\.\w+)+)", text)):
         assert pkgutil.resolve_name(name), name
+
+
+TRAINING = re.compile(r"^(?:\| `)?tdgbench ((?:-m )?[^-`\n][^`\n]*=[^`\n]*)", re.MULTILINE)
+WITH_TRAININGS = ("README.md", "docs/tutorial.md", "docs/commands.md")
+TEXT = "\n".join((ROOT / page).read_text("utf-8") for page in WITH_TRAININGS).replace("\\\n", "")
+TRAININGS = sorted({line for line in TRAINING.findall(TEXT) if line.split()[0] not in TOOLS})
+
+
+@pytest.mark.parametrize("line", TRAININGS)
+def test_trainings_compose(line):
+    overrides = [re.sub(r"=([\w.]+),.*", r"=\1", word) for word in shlex.split(line) if word != "-m"]
+    check_options(config(*overrides))
+
+
+def test_trainings_are_found():
+    assert len(TRAININGS) > 12 and any("seed=0,1,2" in line and "tdg,msmg" in line for line in TRAININGS)
