@@ -77,7 +77,6 @@ class Tables:
 
     @property
     def problems(self) -> list[str]:
-        """What could not be read."""
         return self.results.problems
 
     @property
@@ -98,7 +97,6 @@ class Tables:
 
     @property
     def latex(self) -> str:
-        """The main table as LaTeX."""
         if self.is_ablation:
             return ablation_table(self.main, self.grid)
         return main_table(self.main, self.grid, self.columns)

@@ -184,11 +184,8 @@ def paired_tests(changes: pd.DataFrame, main: pd.DataFrame) -> pd.DataFrame:
 
 def comparison_tables(comparisons: Iterable[MethodComparison]) -> dict[str, pd.DataFrame]:
     """Return the tables `compared` (every change) and `paired` (tests over scenes) of all pairs; none without any."""
-    found = list(comparisons)
-    names = [dict(zip(("method", "baseline"), one.pair, strict=True)) for one in found]
-    tables = {"compared": [one.changes for one in found], "paired": [one.paired for one in found]}
-    return {
-        name: pd.concat([t.assign(**who)[[*who, *t]] for who, t in zip(names, parts, strict=True)], ignore_index=True)
-        for name, parts in tables.items()
-        if any(len(part) for part in parts)
-    }
+    tables: dict[str, list[pd.DataFrame]] = {"compared": [], "paired": []}
+    for (method, baseline), *parts in comparisons:
+        for found, part in zip(tables.values(), parts, strict=True):
+            found.append(part.assign(method=method, baseline=baseline)[["method", "baseline", *part]])
+    return {name: pd.concat(parts, ignore_index=True) for name, parts in tables.items() if any(map(len, parts))}

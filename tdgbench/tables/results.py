@@ -42,7 +42,6 @@ class Cell(CellFolder):
 
     @property
     def machine(self) -> tuple[str, ...]:
-        """The hardware that times depend on."""
         return machine(self.record)
 
     @cached_property
@@ -89,7 +88,6 @@ class Results:
 
     @property
     def tables(self) -> Path:
-        """The folder of the tables."""
         return self.folder / "tables"
 
 

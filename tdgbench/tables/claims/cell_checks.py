@@ -24,13 +24,7 @@ from tdgbench.tables.claims.cell_pairs import (
     judge_gain,
     make_pairs,
 )
-from tdgbench.tables.claims.evidence import (
-    UNDECIDED,
-    Claim,
-    ClaimEvidence,
-    Finding,
-    MissingError,
-)
+from tdgbench.tables.claims.evidence import UNDECIDED, Claim, ClaimEvidence, Finding, MissingError
 from tdgbench.tables.claims.quantities import QUANTITIES, Quantity
 from tdgbench.tables.results import Cell
 

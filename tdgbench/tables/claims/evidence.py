@@ -202,7 +202,7 @@ def _lengths(cells: Sequence[Cell]) -> str:
         return ""
     parts = []
     for method in methods.paper_pair():
-        budgets = sorted({cell.planned_iterations for cell in cells if cell.record.method == method})
-        parts.append(f"{methods.label(method)} at {' and '.join(str(budget) for budget in budgets)}")
+        lengths = sorted({cell.planned_iterations for cell in cells if cell.record.method == method})
+        parts.append(f"{methods.label(method)} at {' and '.join(map(str, lengths))}")
     scenes = len({cell.dataset_and_scene for cell in cells})
     return f"{scenes} scene{'s' if scenes > 1 else ''}; {', '.join(parts)} iterations"

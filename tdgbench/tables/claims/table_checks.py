@@ -70,14 +70,15 @@ def averages(claim: Claim, evidence: ClaimEvidence) -> Finding:
         for m, by_seed in values.items()
     ]
     grounds = ", ".join(f"{methods.label(m)} {_value(evidence, m, evidence.overall, claim.metric):.4g}" for m in values)
-    return Finding.decided(all(surely for surely, _ in fits), all(possibly for _, possibly in fits), grounds)
+    return Finding.decided(*map(all, zip(*fits, strict=True)), grounds)
 
 
 def average_gains(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better in the average of each of `metrics`."""
     gains = [_overall(evidence, metric) for metric in claim.metrics]
     grounds = ", ".join(f"{gain.metric} {gain.percent:+.2f} %" for gain in gains)
-    return _decided(min(gain.percent for gain in gains) > 0, f"{_label()} is better by {grounds}")
+    label = methods.label(methods.paper_pair().method)
+    return _decided(min(gain.percent for gain in gains) > 0, f"{label} is better by {grounds}")
 
 
 def minutes_saved(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -120,10 +121,11 @@ def mixed(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that each method is better somewhere among the data set's scenes × metrics."""
     gains = _gains(claim, evidence, claim.metrics)
     better, worse, open_ = sum(g.low > 0 for g in gains), sum(g.high < 0 for g in gains), _open(gains)
-    counts = f"better in {better}, worse in {worse}, {'equal' if evidence.printed else 'undecided'} in {open_}"
+    label, word = methods.label(methods.paper_pair().method), "equal" if evidence.printed else "undecided"
+    counts = f"{label} is better in {better}, worse in {worse}, {word} in {open_}"
     surely = better > 0 and worse > 0
     possibly = surely or (not evidence.printed and len(gains) > 1 and open_ + min(better, worse) > 0)
-    return Finding.decided(surely, possibly, f"of {len(gains)} scenes × metrics {_label()} is {counts}")
+    return Finding.decided(surely, possibly, f"of {len(gains)} scenes × metrics {counts}")
 
 
 def within(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -134,7 +136,7 @@ def within(claim: Claim, evidence: ClaimEvidence) -> Finding:
     over = [f"{gain.scene} {gain.new - gain.old:+.2f}" for gain in gains if abs(gain.new - gain.old) > most]
     fits = [_fits(evidence, (gain.low, gain.high), 0.0, most) for gain in gains]
     grounds = ", ".join(over) if over else f"at most {widest.new - widest.old:+.2f} at {widest.scene}"
-    return Finding.decided(all(surely for surely, _ in fits), all(possibly for _, possibly in fits), grounds)
+    return Finding.decided(*map(all, zip(*fits, strict=True)), grounds)
 
 
 def ablation_drop(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -212,7 +214,8 @@ def _overall(evidence: ClaimEvidence, metric: str) -> MethodGain:
 def _gain(evidence: ClaimEvidence, scene: str, metric: str) -> MethodGain:
     values = [_value(evidence, method, scene, metric) for method in methods.paper_pair()]
     by_seed = [_by_seed(evidence, method, scene, metric) for method in methods.paper_pair()]
-    return MethodGain(scene, metric, *values, *_interval(evidence, measures.gain(metric, *by_seed)))
+    low, high = _interval(evidence, measures.gain(metric, *by_seed))
+    return MethodGain(scene, metric, *values, low, high)
 
 
 def _by_seed(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> np.ndarray:
@@ -270,10 +273,6 @@ def _by_init(evidence: ClaimEvidence, method: str, metric: str) -> pd.Series:
 def _tolerance(evidence: ClaimEvidence, metric: str, scene: str) -> float:
     """Return how far a value may be from what was printed."""
     return measures.half_unit(metric, scene) if evidence.printed else 0.0
-
-
-def _label() -> str:
-    return methods.label(methods.paper_pair().method)
 
 
 def _need_the_papers_scenes(evidence: ClaimEvidence) -> None:

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tdgbench.tables.claims.cell_pairs import (
-    Interval,
-    Side,
-    all_of,
-    gain_interval,
-    judge_gain,
-    make_pairs,
-)
+from tdgbench.tables.claims.cell_pairs import Interval, Side, all_of, gain_interval, judge_gain, make_pairs
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Finding
 from tests.tables.claims.small_cells import cell, ours
 
@@ -50,13 +43,6 @@ def test_what_keeps_cells_apart(tmp_path, change):
     for name, value in change.items():
         setattr(other.record, name, value)
     assert make_pairs(ours(mine, other), TDG, SMOOTH) == []
-
-
-def test_method_prior_and_budget_name_do_not_keep_cells_apart(tmp_path):
-    mine, other = cell(tmp_path, "tdg"), cell(tmp_path, "3dgs_smooth")
-    mine.record.config |= {"prior": {"name": "marigold"}, "method": {"name": "tdg"}, "seed": 0}
-    mine.record.config["budget"]["name"] = "paper"
-    assert len(make_pairs(ours(mine, other), TDG, SMOOTH)) == 1
 
 
 def test_a_cell_of_two_experiments_counts_once(tmp_path):
@@ -100,12 +86,7 @@ def test_judge(mean, low, high, margin, verdict):
 
 @pytest.mark.parametrize(
     ("parts", "verdict"),
-    [
-        ([HOLDS, HOLDS], HOLDS),
-        ([HOLDS, UNDECIDED], UNDECIDED),
-        ([UNDECIDED, FAILS], FAILS),
-        ([HOLDS, FAILS], FAILS),
-    ],
+    [([HOLDS, HOLDS], HOLDS), ([HOLDS, UNDECIDED], UNDECIDED), ([UNDECIDED, FAILS], FAILS), ([HOLDS, FAILS], FAILS)],
 )
 def test_all_of(parts, verdict):
     found = all_of([Finding(part, f"part {i}") for i, part in enumerate(parts)])

@@ -90,12 +90,6 @@ def test_numbers_for_the_papers_scenes_say_nothing_of_others():
         assert check_claim(CLAIMS[claim], ClaimEvidence(published_main(), None, printed=False)).verdict == verdict
 
 
-def test_a_table_without_both_methods_has_no_marks_that_could_follow():
-    empty = ClaimEvidence(published_main().iloc[:0], None, printed=False)
-    found = check_claim(CLAIMS["bold-follows"], empty)
-    assert (found.verdict, found.grounds) == (UNDECIDED, "no scene has both methods")
-
-
 def test_with_one_data_set_its_average_stands_for_all():
     table = published_main().query("dataset == 'ThermalMix'")
     found = check_claim(CLAIMS["time-percent"], ClaimEvidence(table, None, printed=False, note="5 scenes"))
@@ -106,11 +100,6 @@ def test_ours_has_no_second_table_that_could_disagree():
     assert check_claim(CLAIMS["tables-agree"], PUBLISHED).verdict == HOLDS
     found = check_claim(CLAIMS["tables-agree"], ClaimEvidence(published_main(), None, printed=False))
     assert found.verdict == UNDECIDED
-
-
-def test_one_scene_is_enough_for_what_is_said_of_scenes():
-    one = ClaimEvidence(published_main().query("scene == 'Lion'"), None, printed=False)
-    assert check_claim(CLAIMS["thermalmix-within"], one).verdict == HOLDS
 
 
 @pytest.mark.parametrize(
