@@ -20,17 +20,8 @@ from tdgbench.cells.paths import RECORD_FILE, folder_name
 from tdgbench.cells.plan import PLAN_FILE
 from tdgbench.cells.record import no_records, record_files
 from tdgbench.files import content_of, opened, whole_file
-from tdgbench.packs.manifest import (
-    MANIFEST_FILE,
-    NAME,
-    SHOWN,
-    Manifest,
-    PackedFile,
-    check_amount,
-    check_place,
-    most_bytes,
-    sha256,
-)  # fmt: skip
+from tdgbench.packs import manifest
+from tdgbench.packs.manifest import MANIFEST_FILE, PackedFile
 from tdgbench.scenes import SceneError
 from tdgbench.text import absolute_paths, as_typed
 
@@ -52,11 +43,11 @@ def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -
     if not keep_paths:
         _check_no_private_paths([file for name, file in paths.items() if name.endswith(TEXTS)], experiment)
     files = {name: _described(file, experiment) for name, file in paths.items()}
-    check_amount(files)
-    plain = experiment_name if re.fullmatch(NAME, experiment_name) else folder_name(experiment_name)
-    text = Manifest(plain, __version__, files).to_json()
-    name = sha256(text)
-    path = path or experiment.resolve().parent / f"{experiment_name}-{name[:SHOWN]}.zip"
+    manifest.check_amount(files)
+    plain = experiment_name if re.fullmatch(manifest.NAME, experiment_name) else folder_name(experiment_name)
+    text = manifest.Manifest(plain, __version__, files).to_json()
+    name = manifest.sha256(text)
+    path = path or experiment.resolve().parent / f"{experiment_name}-{name[: manifest.SHOWN]}.zip"
     with whole_file(path) as part, zipfile.ZipFile(part, "w") as archive:
         archive.writestr(_info(MANIFEST_FILE), text)
         for entry, file in paths.items():
@@ -115,8 +106,8 @@ def _paths(experiment: Path) -> dict[str, Path]:
     for path in sorted(paths):
         name = path.relative_to(experiment).as_posix()
         try:
-            check_place(name)
-            opened(path, most_bytes(name), inside=experiment).close()
+            manifest.check_place(name)
+            opened(path, manifest.most_bytes(name), inside=experiment).close()
         except (ValueError, SceneError) as error:
             raise ValueError(f"{path} cannot be packed: {error}") from error
         found[name] = path
@@ -130,7 +121,7 @@ def _content(path: Path, experiment: Path) -> io.BytesIO | io.BufferedReader:
 
 def _text(path: Path) -> bytes:
     """Read a text; a record is without the traceback of a failure."""
-    stored = content_of(path, most_bytes(path.name))
+    stored = content_of(path, manifest.most_bytes(path.name))
     if path.name != RECORD_FILE:
         return stored
     try:
