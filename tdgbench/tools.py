@@ -60,7 +60,7 @@ TOOLS = {
         "tdgbench.packs.command",
     ),
     "new": Tool((("method NAME", "write the files of a method of yours, to begin with"),), "tdgbench.new"),
-    "site": Tool((), "tdgbench.site.site_command"),
+    "site": Tool((), "tdgbench.site.site_pages"),
     "unpack": Tool((), "tdgbench.packs.command", "unpack_main"),
 }
 

@@ -139,11 +139,9 @@ def _cell(row: Any, published: Any) -> GridCell:
         text += f" ± {as_text(row.metric, row.std, row.scene)}"
     ends = [getattr(row, end, np.nan) for end in ("ci95_low", "ci95_high")]
     span = " to ".join(as_text(row.metric, end, form=".4g") for end in ends if not np.isnan(end))
-    interval = f"95 % interval over seeds and views: {span}" if span else ""
     note, details = difference_note(published, row.scene)
-    title = "; ".join(part for part in (details, interval) if part)
     verdict = published.verdict if note else ""
-    return GridCell(text, mean, row.value, row.value, bool(row.bold), title, note, verdict, beside, row.std)
+    return GridCell(text, mean, row.value, row.value, bool(row.bold), details, note, verdict, beside, row.std, span)
 
 
 def difference_note(published: Any, scene: str) -> tuple[str, str]:
