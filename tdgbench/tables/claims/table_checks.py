@@ -70,7 +70,8 @@ def averages(claim: Claim, evidence: ClaimEvidence) -> Finding:
         for m, by_seed in values.items()
     ]
     grounds = ", ".join(f"{methods.label(m)} {_value(evidence, m, evidence.overall, claim.metric):.4g}" for m in values)
-    return Finding.decided(*map(all, zip(*fits, strict=True)), grounds)
+    surely, possibly = map(all, zip(*fits, strict=True))
+    return Finding.decided(surely, possibly, grounds)
 
 
 def average_gains(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -136,7 +137,8 @@ def within(claim: Claim, evidence: ClaimEvidence) -> Finding:
     over = [f"{gain.scene} {gain.new - gain.old:+.2f}" for gain in gains if abs(gain.new - gain.old) > most]
     fits = [_fits(evidence, (gain.low, gain.high), 0.0, most) for gain in gains]
     grounds = ", ".join(over) if over else f"at most {widest.new - widest.old:+.2f} at {widest.scene}"
-    return Finding.decided(*map(all, zip(*fits, strict=True)), grounds)
+    surely, possibly = map(all, zip(*fits, strict=True))
+    return Finding.decided(surely, possibly, grounds)
 
 
 def ablation_drop(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -212,10 +214,10 @@ def _overall(evidence: ClaimEvidence, metric: str) -> MethodGain:
 
 
 def _gain(evidence: ClaimEvidence, scene: str, metric: str) -> MethodGain:
-    values = [_value(evidence, method, scene, metric) for method in methods.paper_pair()]
+    new, old = (_value(evidence, method, scene, metric) for method in methods.paper_pair())
     by_seed = [_by_seed(evidence, method, scene, metric) for method in methods.paper_pair()]
     low, high = _interval(evidence, measures.gain(metric, *by_seed))
-    return MethodGain(scene, metric, *values, low, high)
+    return MethodGain(scene, metric, new, old, low, high)
 
 
 def _by_seed(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> np.ndarray:
