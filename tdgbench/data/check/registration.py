@@ -135,7 +135,7 @@ def _try(scene: Scene, offset: Offset) -> str:
         return f"Try: {again} {here} NEW --poses {here} --mapping {mapping}"
     return (
         f"Register them again, with the thermal images moved by {-offset.x:+.1f}, {-offset.y:+.1f} px; of the camera's "
-        f"files: {again} CAMERA_FILES NEW --mapping RATIO X Y (docs/data.md)"
+        f"files: {again} CAMERA_FILES NEW --mapping RATIO X Y (docs/prepare.md)"
     )
 
 

@@ -37,10 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     place("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
     add("--sfm", choices=("rgb", "thermal"), default="rgb", help="images that COLMAP sees; thermal needs no RGB images")
     model = parser.add_mutually_exclusive_group().add_argument
-    model("--poses", type=Path, metavar="FILE", help="of these images, by another program (docs/data.md)")
+    model("--poses", type=Path, metavar="FILE", help="of these images, by another program (docs/prepare.md)")
     lens = parser.add_mutually_exclusive_group().add_argument
     lens("--focal", type=number, metavar="PX", help="focal length of these images; default: estimated")
-    lens("--calibration", type=Path, metavar="FILE", help="lens of these images (docs/data.md)")
+    lens("--calibration", type=Path, metavar="FILE", help="lens of these images (docs/prepare.md)")
     add("--refine", action="store_true", help="begin with that lens, or --poses'; default: it is kept")
     model("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
     add("--matching", choices=get_args(Matching), default="exhaustive", metavar="HOW",
