@@ -45,11 +45,11 @@ def plot(names: Sequence[str], seconds: np.ndarray, psnr: np.ndarray) -> str:
     figure = Figure(figsize=(5.2, max(2.7, 0.5 + 0.2 * len(names))))
     axes = figure.subplots()
     figure.subplots_adjust(left=0.11, right=0.58, bottom=0.45 / figure.get_figheight(), top=0.96)
-    axes.plot(seconds, psnr, "o")
-    axes.margins(y=0.1)
     axes.set_xscale("log")
+    axes.margins(y=0.1)
     axes.set_xlim(max((tick for tick in TICKS if tick < seconds.min()), default=seconds.min() / 2),
                   min((tick for tick in TICKS if tick > seconds.max()), default=seconds.max() * 2))  # fmt: skip
+    axes.plot(seconds, psnr, "o")
     shown = [tick for tick in TICKS if axes.get_xlim()[0] <= tick <= axes.get_xlim()[1]]
     shown = shown[:: -(-len(shown) // MOST_TICKS) or 1]
     axes.xaxis.set_major_locator(FixedLocator(shown))
