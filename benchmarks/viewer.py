@@ -17,8 +17,7 @@ import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from benchmarks.common.clouds import random_cloud
-from benchmarks.common.timing import median_ms
+from benchmarks.core import median_ms, random_cloud
 from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.record import Record
 from tdgbench.scenes import Camera

@@ -5,12 +5,10 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
-
-from hypothesis import strategies as st
+from random import Random
+from typing import Literal, NamedTuple
 
 from benchmarks.strangers.honest import WITHOUT_PARTS, Files, Honest
 from benchmarks.strangers.server import MOST_BYTES, Outcome, Server
@@ -45,15 +43,9 @@ class Case:
     """what: is hostile, in words. files: by path below the case's folder. must_fail: status 0 would be false."""
 
     what: str
-    files: dict[str, bytes | Special]
+    files: dict[str, bytes | Special] = field(repr=False)
     words: tuple[str, ...]
     must_fail: bool = False
-
-    def __repr__(self) -> str:
-        return f"Case({self.what!r}, {' '.join(self.words)!r})"
-
-    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        printer.text(repr(self))  # hypothesis would print the files
 
 
 def of_pack(honest: Honest, pack: bytes, what: str, tool: str, *, must_fail: bool = False) -> Case:
@@ -71,15 +63,14 @@ def of_folder(files: Files, what: str, tool: str, *, must_fail: bool = False) ->
     )
 
 
-@st.composite
-def reading(draw: st.DrawFn, honest: Honest, files: Files, what: str, *, must_fail: bool = False) -> Case:
+def reading(rng: Random, honest: Honest, files: Files, what: str, *, must_fail: bool = False) -> Case:
     """A case in which a tool reads a pack with these files, whose manifest is right, or a folder with them.
 
     must_fail: whether `verify` has to find something.
     """
-    if draw(st.booleans()):
-        return of_folder(files, what, draw(st.sampled_from(sorted(OF_FOLDERS))), must_fail=must_fail)
-    tool = draw(st.sampled_from(sorted(OF_PACKS)))
+    if rng.random() < 0.5:
+        return of_folder(files, what, rng.choice(sorted(OF_FOLDERS)), must_fail=must_fail)
+    tool = rng.choice(sorted(OF_PACKS))
     pack = zipped([Entry(name, content) for name, content in files.items()])
     return of_pack(honest, pack, what, tool, must_fail=must_fail and tool == "verify")
 
@@ -103,21 +94,17 @@ def write(case: Case, folder: Path) -> None:
             continue
 
 
-def run_case(server: Server, case: Case, folder: Path, keep: Callable[[], Path] | None = None) -> list[str]:
-    """Run a case in a folder, which is removed; return its problems. keep: gives a new folder for one with problems."""
-    return outcome_of(server, case, folder, keep)[1]
-
-
-def outcome_of(
-    server: Server, case: Case, folder: Path, keep: Callable[[], Path] | None = None
-) -> tuple[Outcome, list[str]]:  # fmt: skip
-    """`run_case`, with the outcome."""
+def run_case(server: Server, case: Case, folder: Path, kept: Path | None = None) -> tuple[Outcome, list[str]]:
+    """Run a case in a folder, which is removed; return its problems, too. kept: a folder for one that has some."""
     try:
         write(case, folder)
         outcome = server.run(list(case.words), folder)
-        found = [*problems_of(case, outcome), *_live_markup(folder)]
-        if found and keep is not None:
-            shutil.rmtree(kept := keep(), ignore_errors=True)
+        found = problems_of(case, outcome)
+        pages = [path for path in folder.rglob("*.html") if path.is_file()]
+        live = [path for path in pages if MARKUP in path.read_text("utf-8", "replace")]
+        found += [f"{page.relative_to(folder)} holds live markup" for page in live[:1]]
+        if found and kept is not None:
+            shutil.rmtree(kept, ignore_errors=True)
             write(case, kept)
             text = "\n".join([repr(case), f"tdgbench {' '.join(case.words)}", *found, outcome.error, outcome.output])
             (kept / "case.txt").write_text(text, encoding="utf-8", errors="backslashreplace")
@@ -130,7 +117,9 @@ def problems_of(case: Case, outcome: Outcome) -> list[str]:
     """Return what is wrong with the end of a case, in words."""
     found = [f"violation: {what}" for what in outcome.violations]
     if outcome.error:
-        found.append(f"unexpected error: {_last_place(outcome.error)}")
+        places = re.findall(r'File "[^"]*/(tdgbench/[^"]+|methods/[^"]+)", line (\d+)', outcome.error)
+        where = ":".join(places[-1]) if places else "elsewhere"
+        found.append(f"unexpected error: {outcome.error.strip().splitlines()[-1][:200]} ({where})")
     if "Traceback (most recent" in outcome.output:
         found.append("prints a traceback")
     if outcome.timed_out:
@@ -150,15 +139,3 @@ def problems_of(case: Case, outcome: Outcome) -> list[str]:
     if outcome.printed > MOST_PRINTED:
         found.append(f"prints {outcome.printed} characters")
     return found
-
-
-def _live_markup(folder: Path) -> list[str]:
-    """Return pages, written by the tool, that hold a stranger's markup as such."""
-    pages = [path for path in folder.rglob("*.html") if path.is_file() and MARKUP in path.read_text("utf-8", "replace")]
-    return [f"{page.relative_to(folder)} holds live markup" for page in pages[:1]]
-
-
-def _last_place(trace: str) -> str:
-    """Return the error of a traceback and the last place in tdgbench."""
-    places = re.findall(r'File "[^"]*/(tdgbench/[^"]+|methods/[^"]+)", line (\d+)', trace)
-    return f"{trace.strip().splitlines()[-1][:200]} ({':'.join(places[-1]) if places else 'elsewhere'})"

@@ -47,14 +47,13 @@ def make_honest(server: Server, folder: Path) -> Honest:
         _run(server, folder, ("data", "export", str(scene), f"scenes/{layout}", "--format", layout))
     for words in WARM:
         _run(server, folder, words, "warm")
-    return read_honest(folder)
-
-
-def read_honest(folder: Path) -> Honest:
-    """Return what `make_honest` has made in a folder."""
     with zipfile.ZipFile(folder / "honest.zip") as archive:
         pack = {name: archive.read(name) for name in archive.namelist() if name != "manifest.json"}
-    scenes = {layout: _files(folder / "scenes" / layout) for layout in ("3dgs", "nerfstudio")}
+    scenes = {}
+    for layout in ("3dgs", "nerfstudio"):
+        place = folder / "scenes" / layout
+        files = [path for path in sorted(place.rglob("*")) if path.is_file()]
+        scenes[layout] = {path.relative_to(place).as_posix(): path.read_bytes() for path in files}
     return Honest(pack, scenes, folder)
 
 
@@ -62,9 +61,3 @@ def _run(server: Server, folder: Path, words: tuple[str, ...], how: str = "trust
     outcome = server.run(list(words), folder, how)
     if outcome.status != 0:
         raise RuntimeError(f"{' '.join(words)} fails on honest files:\n{outcome.output}{outcome.error}")
-
-
-def _files(folder: Path) -> Files:
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()
-    }

@@ -11,10 +11,10 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from random import Random
 from typing import Any
 
 import torch
-from hypothesis import strategies as st
 
 from benchmarks.strangers.cases import Case, reading
 from benchmarks.strangers.honest import WITH_PARTS, WITHOUT_PARTS, Honest
@@ -34,11 +34,10 @@ OTHER_FORMATS = {
 }  # fmt: skip
 
 
-@st.composite
-def ply_cases(draw: st.DrawFn, honest: Honest) -> Case:
+def ply_cases(rng: Random, honest: Honest) -> Case:
     """A hostile `model.ply`."""
-    content, what = draw(hostile_ply(honest.pack[f"{WITHOUT_PARTS}/model.ply"]))
-    return draw(reading(honest, fitting(honest.pack, WITHOUT_PARTS, {"model.ply": content}), f"model.ply: {what}"))
+    content, what = hostile_ply(rng, honest.pack[f"{WITHOUT_PARTS}/model.ply"])
+    return reading(rng, honest, fitting(honest.pack, WITHOUT_PARTS, {"model.ply": content}), f"model.ply: {what}")
 
 
 def ply_changes(model: bytes) -> dict[str, tuple[bytes, bytes]]:
@@ -77,25 +76,24 @@ def ply_changes(model: bytes) -> dict[str, tuple[bytes, bytes]]:
     }
 
 
-@st.composite
-def hostile_ply(draw: st.DrawFn, model: bytes) -> tuple[bytes, str]:
+def hostile_ply(rng: Random, model: bytes) -> tuple[bytes, str]:
     """A PLY file with a hostile header, with hostile numbers, or damaged; what it is."""
     header, _, rows = model.partition(b"end_header\n")
     changes = ply_changes(model)
-    how = draw(st.sampled_from((*changes, "floats", "bytes", "text")))
+    how = rng.choice((*changes, "floats", "bytes", "text"))
     if how in changes:
         return header.replace(*changes[how]) + b"end_header\n" + rows, how
     if how == "floats":
-        value = draw(st.sampled_from((1e38, -1e38, 1e30, 88.8, 1e-40, float("nan"), float("inf"))))
-        at, count = draw(st.sampled_from((-1, 0, 5, 9, 10, 13))), len(rows) // 4  # -1: everywhere
+        value = rng.choice((1e38, -1e38, 1e30, 88.8, 1e-40, float("nan"), float("inf")))
+        at, count = rng.choice((-1, 0, 5, 9, 10, 13)), len(rows) // 4  # -1: everywhere
         packed = struct.pack("<f", value)
         changed = packed * count if at < 0 else rows[: 4 * at] + packed + rows[4 * at + 4 :]
         return header + b"end_header\n" + changed, f"{value} at place {at}"
     if how == "text":
-        number = draw(st.sampled_from((b"1", b"1e999", b"nan", b"1" * 400, b"x")))
-        count = draw(st.sampled_from((10, 100_000)))
+        number = rng.choice((b"1", b"1e999", b"nan", b"1" * 400, b"x"))
+        count = rng.choice((10, 100_000))
         return in_text(model, number, count), f"{count} rows of {number[:9].decode()}"
-    return draw(flipped(model)), "flipped bytes"
+    return flipped(rng, model), "flipped bytes"
 
 
 def in_text(model: bytes, number: bytes = b"1", count: int = 100_000) -> bytes:
@@ -138,26 +136,15 @@ def _doubled() -> list[Any]:
     return inner
 
 
-def _deep(levels: int) -> bytes:
-    return b"\x80\x02" + b"]" * levels + b"a" * (levels - 1) + b"."
-
-
-def _huge() -> torch.Tensor:
-    return torch.zeros(1).expand(10**12)
-
-
-def _touch() -> Calls:
-    return Calls(os.system, f"touch {MARK}")
-
-
+HUGE, TOUCH = torch.zeros(1).expand(10**12), Calls(os.system, f"touch {MARK}")
 PICKLES: dict[str, Callable[[bytes], bytes]] = {  # makes a hostile file of an honest `parts.pt`
-    "a pickle that runs a command": lambda _: pickle.dumps({"rig": _touch()}, 2),
-    "torch's zip file that runs a command": lambda _: saved({"rig": _touch()}),
-    "torch's old file that runs a command": lambda _: saved({"rig": _touch()}, legacy=True),
+    "a pickle that runs a command": lambda _: pickle.dumps({"rig": TOUCH}, 2),
+    "torch's zip file that runs a command": lambda _: saved({"rig": TOUCH}),
+    "torch's old file that runs a command": lambda _: saved({"rig": TOUCH}, legacy=True),
     "eval": lambda _: saved(Calls(eval, f"{MARK}()")),
     "bytearray(10**10)": lambda _: saved({"rig": Calls(bytearray, 10**10)}),
-    "a tensor of 10¹² zeros": lambda _: saved({"rig": _huge()}),
-    "parts that are such tensors": lambda _: saved({"rig": dict.fromkeys(("center", "turn", "shift"), _huge())}),
+    "a tensor of 10¹² zeros": lambda _: saved({"rig": HUGE}),
+    "parts that are such tensors": lambda _: saved({"rig": dict.fromkeys(("center", "turn", "shift"), HUGE)}),
     "an empty tensor of 10¹⁰": lambda _: saved({"rig": Calls(torch.Tensor, 10**10)}),
     "a sparse tensor of 10¹²": lambda _: saved(
         torch.sparse_coo_tensor(torch.zeros(1, 1), torch.ones(1), (10**12,), check_invariants=False)
@@ -166,7 +153,7 @@ PICKLES: dict[str, Callable[[bytes], bytes]] = {  # makes a hostile file of an h
     "a deflated pickle of 1200 MB": lambda data: _with_zeros(data, "data.pkl"),
     "lists of 10⁹ elements": lambda _: saved({"rig": _doubled()}),
     "a list for a dictionary": lambda _: saved(_doubled()),
-    "100000 levels": lambda _: _deep(100_000),
+    "100000 levels": lambda _: b"\x80\x02" + b"]" * 100_000 + b"a" * 99_999 + b".",
     "numbers that are none": lambda _: saved({"rig": {"center": torch.full((2,), torch.nan)}}),
     "a text of 5 MB": lambda _: saved({"rig": {"x" * 5_000_000: 1}}),
     "a key of 5 MB": lambda _: saved({"x" * 5_000_000: 1, "rig": 3}),
@@ -177,15 +164,14 @@ PICKLES: dict[str, Callable[[bytes], bytes]] = {  # makes a hostile file of an h
 }
 
 
-@st.composite
-def pickle_cases(draw: st.DrawFn, honest: Honest) -> Case:
+def pickle_cases(rng: Random, honest: Honest) -> Case:
     """A hostile `parts.pt`, or such a checkpoint."""
-    parts, how = honest.pack[f"{WITH_PARTS}/parts.pt"], draw(st.sampled_from((*PICKLES, "flipped bytes")))
-    content = PICKLES[how](parts) if how in PICKLES else draw(flipped(parts))
-    if draw(st.booleans()):
+    parts, how = honest.pack[f"{WITH_PARTS}/parts.pt"], rng.choice((*PICKLES, "flipped bytes"))
+    content = PICKLES[how](parts) if how in PICKLES else flipped(rng, parts)
+    if rng.random() < 0.5:
         return Case(f"checkpoint: {how}", {"a.pt": content, **cell_files(honest)}, (CHECKPOINT, "a.pt", "cell"))
-    cell = draw(st.sampled_from((WITH_PARTS, WITHOUT_PARTS)))
-    return draw(reading(honest, fitting(honest.pack, cell, {"parts.pt": content}), f"parts.pt: {how}"))
+    cell = rng.choice((WITH_PARTS, WITHOUT_PARTS))
+    return reading(rng, honest, fitting(honest.pack, cell, {"parts.pt": content}), f"parts.pt: {how}")
 
 
 def cell_files(honest: Honest) -> dict[str, Any]:
@@ -202,27 +188,25 @@ def _zeros(size: int) -> bytes:
     return zlib.compress(b"\0" * size)
 
 
-@st.composite
-def hostile_picture(draw: st.DrawFn, picture: bytes) -> tuple[bytes, str]:
+def hostile_picture(rng: Random, picture: bytes) -> tuple[bytes, str]:
     """A picture of another size, mode or format, a bomb, or a damaged one; what it is."""
-    how = draw(st.sampled_from(("made", "made", "flipped", *OTHER_FORMATS)))
+    how = rng.choice(("made", "made", "flipped", *OTHER_FORMATS))
     if how == "flipped":
-        return draw(flipped(picture)), "flipped bytes"
+        return flipped(rng, picture), "flipped bytes"
     if how in OTHER_FORMATS:
         return OTHER_FORMATS[how], how
-    size = draw(st.sampled_from(((32, 24), (32, 24), (30_000, 30_000), (2**31 - 1, 2**31 - 1), (0, 0), (10_000, 1))))
-    bits, kind = draw(st.sampled_from(((8, 0), (8, 2), (8, 6), (16, 0), (16, 2), (1, 0), (8, 3), (9, 9))))
-    data = draw(st.sampled_from((_zeros(4000), _zeros(300 * MB), b"", b"x" * 99)))
-    name, content = draw(st.sampled_from(MORE_CHUNKS))
+    size = rng.choice(((32, 24), (32, 24), (30_000, 30_000), (2**31 - 1, 2**31 - 1), (0, 0), (10_000, 1)))
+    bits, kind = rng.choice(((8, 0), (8, 2), (8, 6), (16, 0), (16, 2), (1, 0), (8, 3), (9, 9)))
+    data = rng.choice((_zeros(4000), _zeros(300 * MB), b"", b"x" * 99))
+    name, content = rng.choice(MORE_CHUNKS)
     header = _chunk(b"IHDR", struct.pack(">IIBBBBB", *size, bits, kind, 0, 0, 0))
     more = _chunk(name, content or b"a\0\0" + _zeros(300 * MB)) if name else b""
     words = f"{size} px, {bits} bits of type {kind}, {len(data)} bytes, {name.decode() or 'no'} chunk"
     return PNG + header + more + _chunk(b"IDAT", data) + _chunk(b"IEND", b""), words
 
 
-@st.composite
-def picture_cases(draw: st.DrawFn, honest: Honest) -> Case:
+def picture_cases(rng: Random, honest: Honest) -> Case:
     """A hostile picture of a cell."""
-    name = f"{draw(st.sampled_from(PICTURES))}/view000.png"
-    content, what = draw(hostile_picture(honest.pack[f"{WITHOUT_PARTS}/renders/view000.png"]))
-    return draw(reading(honest, fitting(honest.pack, WITHOUT_PARTS, {name: content}), f"{name}: {what}"))
+    name = f"{rng.choice(PICTURES)}/view000.png"
+    content, what = hostile_picture(rng, honest.pack[f"{WITHOUT_PARTS}/renders/view000.png"])
+    return reading(rng, honest, fitting(honest.pack, WITHOUT_PARTS, {name: content}), f"{name}: {what}")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import struct
+from random import Random
 from typing import Any
-
-from hypothesis import strategies as st
 
 from benchmarks.strangers.cases import Case, Special
 from benchmarks.strangers.honest import Files, Honest
@@ -36,101 +35,85 @@ SHAPES = ("(24, 32)", "(10**12,)", "(1000000000000, 4)", "(-1, 2)", "()", "(24, 
 TYPES = ("<f4", "|O", "<M8[s]", "<f8", "|V999999999", "<U9999999")
 
 
-@st.composite
-def scene_cases(draw: st.DrawFn, honest: Honest) -> Case:
+def scene_cases(rng: Random, honest: Honest) -> Case:
     """A scene of which one file is hostile."""
-    how = draw(st.sampled_from((transforms, colmap_bytes, colmap_bytes, colmap_text, picture, other, special)))
-    layout = "nerfstudio" if how is transforms else draw(st.sampled_from(("3dgs", "nerfstudio")))
-    files, what = draw(how(honest.scenes["3dgs" if how in (colmap_bytes, colmap_text) else layout]))
-    words = ("data", "check", draw(st.sampled_from(("scenes", SCENE))), *draw(st.sampled_from(((), ("--json",)))))
+    how = rng.choice((transforms, colmap_bytes, colmap_bytes, colmap_text, picture, other, special))
+    layout = "nerfstudio" if how is transforms else rng.choice(("3dgs", "nerfstudio"))
+    files, what = how(rng, honest.scenes["3dgs" if how in (colmap_bytes, colmap_text) else layout])
+    words = ("data", "check", rng.choice(("scenes", SCENE)), *rng.choice(((), ("--json",))))
     return Case(what, {f"{SCENE}/{name}": content for name, content in files.items()}, words)
 
 
 Changed = tuple[dict[str, Any], str]
 
 
-@st.composite
-def transforms(draw: st.DrawFn, files: Files) -> Changed:
+def transforms(rng: Random, files: Files) -> Changed:
     """A hostile transforms.json, or a hostile sparse_pc.ply beside it."""
     name = "transforms.json"
-    if draw(st.integers(0, 4)) == 0:
-        content, what = draw(hostile_ply(files["sparse_pc.ply"]))
+    if rng.randint(0, 4) == 0:
+        content, what = hostile_ply(rng, files["sparse_pc.ply"])
         return {**files, "sparse_pc.ply": content}, f"sparse_pc.ply: {what}"
-    if draw(st.booleans()):
-        text, what, _ = draw(hostile_json(files[name]))
+    if rng.random() < 0.5:
+        text, what, _ = hostile_json(rng, files[name])
         return {**files, name: text}, f"{name}: {what}"
-    place: tuple[Any, ...] = ("frames", 0, draw(st.sampled_from(FILE_KEYS)))
-    if draw(st.booleans()):
-        place = (draw(st.sampled_from(("ply_file_path", "camera_model", "applied_transform", "train_filenames"))),)
-    value = draw(st.sampled_from((*TEXTS, [ELSEWHERE[0]], [[1e308] * 4] * 3)))
+    place: tuple[Any, ...] = ("frames", 0, rng.choice(FILE_KEYS))
+    if rng.random() < 0.5:
+        place = (rng.choice(("ply_file_path", "camera_model", "applied_transform", "train_filenames")),)
+    value = rng.choice((*TEXTS, [ELSEWHERE[0]], [[1e308] * 4] * 3))
     text = json.dumps(replaced(json.loads(files[name]), place, value)).encode()
     return {**files, name: text}, f"{name}: {'.'.join(map(str, place))} = {str(value)[:60]!r}"
 
 
-@st.composite
-def colmap_bytes(draw: st.DrawFn, files: Files) -> Changed:
+def colmap_bytes(rng: Random, files: Files) -> Changed:
     """A binary model with other counts, or with flipped bytes."""
-    name = draw(st.sampled_from([name for name in files if name.endswith(".bin")]))
+    name = rng.choice([name for name in files if name.endswith(".bin")])
     content = files[name]
-    if draw(st.booleans()):
-        return {**files, name: draw(flipped(content))}, f"{name}: flipped bytes"
-    at = draw(st.sampled_from((0, 0, 8, 12, 16, 64, 72, 76)) | st.integers(0, max(0, len(content) - 8)))
-    count = draw(st.sampled_from(COUNTS))
+    if rng.random() < 0.5:
+        return {**files, name: flipped(rng, content)}, f"{name}: flipped bytes"
+    at = rng.choice((0, 0, 8, 12, 16, 64, 72, 76, rng.randint(0, max(0, len(content) - 8))))
+    count = rng.choice(COUNTS)
     changed = bytearray(content.ljust(at + 8, b"\0"))
     struct.pack_into("<Q", changed, at, count)
     return {**files, name: bytes(changed)}, f"{name}: {count} at byte {at}"
 
 
-@st.composite
-def colmap_text(draw: st.DrawFn, files: Files) -> Changed:
+def colmap_text(rng: Random, files: Files) -> Changed:
     """A text model with a hostile word, or with very many of them."""
     files = {name: content for name, content in files.items() if not name.endswith(".bin")}
     model = dict(TEXT_MODEL)
-    name = draw(st.sampled_from(sorted(model)))
+    name = rng.choice(sorted(model))
     lines = [line.split(" ") for line in model[name].splitlines()]
-    line = draw(st.sampled_from(lines))
-    at, word = draw(st.integers(0, len(line) - 1)), draw(st.sampled_from(TOKENS))
+    line = rng.choice(lines)
+    at, word = rng.randint(0, len(line) - 1), rng.choice(TOKENS)
     line[at] = word
-    times = draw(st.sampled_from((1, 1, 1, 100_000)))
+    times = rng.choice((1, 1, 1, 100_000))
     line *= 1 if len(word) > 99 else times
     model[name] = "\n".join(" ".join(one) for one in lines)
-    return {
-        **files,
-        **{f"sparse/0/{one}": text.encode() for one, text in model.items()},
-    }, f"{name}: {times} × {word[:40]!r}"
+    files |= {f"sparse/0/{one}": text.encode() for one, text in model.items()}
+    return files, f"{name}: {times} × {word[:40]!r}"
 
 
-@st.composite
-def picture(draw: st.DrawFn, files: Files) -> Changed:
+def picture(rng: Random, files: Files) -> Changed:
     """A hostile picture."""
-    name = draw(st.sampled_from([name for name in files if name.endswith(".png")]))
-    content, what = draw(hostile_picture(files[name]))
+    name = rng.choice([name for name in files if name.endswith(".png")])
+    content, what = hostile_picture(rng, files[name])
     return {**files, name: content}, f"{name}: {what}"
 
 
-@st.composite
-def other(draw: st.DrawFn, files: Files) -> Changed:
+def other(rng: Random, files: Files) -> Changed:
     """A hostile range of temperatures, or hostile arrays in the place of thermal pictures."""
-    if draw(st.booleans()):
-        name = draw(st.sampled_from(sorted(OTHERS)))
-        text, what, _ = draw(hostile_json(OTHERS[name]))
+    if rng.random() < 0.5:
+        name = rng.choice(sorted(OTHERS))
+        text, what, _ = hostile_json(rng, OTHERS[name])
         return {**files, name: text}, f"{name}: {what}"
-    shape, kind = draw(st.sampled_from(SHAPES)), draw(st.sampled_from(TYPES))
+    shape, kind = rng.choice(SHAPES), rng.choice(TYPES)
     header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
     array = b"\x93NUMPY\x01\0" + struct.pack("<H", len(header)) + header + b"\0" * (24 * 32 * 4)
-    changed = {
-        name.replace("thermal/", "warped_thermal/").replace(".png", ".npy"): array
-        for name in files
-        if "thermal/" in name
-    }
-    return {
-        **files,
-        **{name.replace("test/", "").replace("train/", ""): data for name, data in changed.items()},
-    }, f".npy {shape} {kind}"
+    views = [name.rpartition("/")[2].replace(".png", ".npy") for name in files if "thermal/" in name]
+    return {**files, **{f"warped_thermal/{view}": array for view in views}}, f".npy {shape} {kind}"
 
 
-@st.composite
-def special(draw: st.DrawFn, files: Files) -> Changed:
+def special(rng: Random, files: Files) -> Changed:
     """Something in the place of a file that is none."""
-    name, what = draw(st.sampled_from(sorted(files))), draw(st.sampled_from(SPECIAL))
+    name, what = rng.choice(sorted(files)), rng.choice(SPECIAL)
     return {**files, name: what}, f"{name} is a {what.kind} {what.target}"

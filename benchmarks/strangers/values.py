@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import json
+import struct
+from random import Random
 from typing import Any
-
-from hypothesis import strategies as st
 
 from benchmarks.strangers.watch import MARK, NEVER_IMPORTED
 
 MARKUP = f"<img src=x onerror={MARK}()>"
 PLACEHOLDER = "@hostile@"
-ELSEWHERE = (
-    "/etc/passwd",
-    "../../../../etc/passwd",
-    "/dev/zero",
-    "/proc/self/environ",
-    "/",
-    "~/.bashrc",
-    "/etc/shadow",
-)
+ELSEWHERE = ("/etc/passwd", "../../../../etc/passwd", "/dev/zero", "/proc/self/environ", "/", "~/.bashrc",
+             "/etc/shadow")  # fmt: skip
 TEXTS = (
     "", " ", ".", "..", MARKUP, f"]]></script><script>{MARK}()</script>", "[red]markup[/red][/]",
     "\x1b]0;title\x07\x1b[2J", "a\nproblem: none\r\n0 problems", f"$(touch {MARK}); `touch {MARK}`", "=1+1",
@@ -40,16 +33,23 @@ _OTHERS = (
     "null", "true", "[]", "{}", '[""]', "[[[]]]", '{"a": 1}', "[" * 100_000 + "]" * 100_000, "[NaN, 0]",
     '{"a":' * 50_000 + "1" + "}" * 50_000, '"\\ud800"', "[" + "0," * 1_000_000 + "0]", '{"a": 1, "a": 2}',
 )  # fmt: skip
-RAW = st.one_of(
-    st.sampled_from(_NUMBERS),
-    st.sampled_from(_OTHERS),
-    st.sampled_from(TEXTS).map(json.dumps),
-    st.recursive(
-        st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=9),
-        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
-        max_leaves=5,
-    ).map(json.dumps),
-)
+
+
+def raw_json(rng: Random) -> str:
+    """Return JSON text of a value, or what looks like it."""
+    return rng.choice((rng.choice(_NUMBERS), rng.choice(_OTHERS), json.dumps(rng.choice(TEXTS)), json.dumps(_any(rng))))
+
+
+def _any(rng: Random, depth: int = 0) -> Any:
+    """Return any value of JSON, with any characters, any bits of a float, and at most three levels."""
+    letters = range(128), range(0xD800), range(0xE000, 0x110000)
+    text = "".join(chr(rng.choice(rng.choice(letters))) for _ in range(rng.randrange(9)))
+    (real,) = struct.unpack("<d", rng.randbytes(8))
+    values = [None, rng.random() < 0.5, rng.randint(-(2 ** rng.randrange(99)), 9), real, text]
+    if depth < 3:
+        values.append([_any(rng, depth + 1) for _ in range(rng.randrange(4))])
+        values.append({text[:length]: _any(rng, depth + 1) for length in range(rng.randrange(4))})
+    return rng.choice(values)
 
 
 def places(content: Any, above: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -67,11 +67,8 @@ def replaced(content: Any, place: tuple[Any, ...], value: Any) -> Any:
     if not place:
         return value
     key, *rest = place
-    copy = list(content) if isinstance(content, list) else dict(content) if isinstance(content, dict) else {}
-    if isinstance(copy, list):
-        copy[key] = replaced(copy[key], tuple(rest), value)
-    else:
-        copy[key] = replaced(copy.get(key), tuple(rest), value)
+    copy: Any = content.copy() if isinstance(content, list | dict) else {}
+    copy[key] = replaced(copy[key] if isinstance(copy, list) else copy.get(key), tuple(rest), value)
     return copy
 
 
@@ -80,40 +77,32 @@ def with_raw(content: Any, place: tuple[Any, ...], raw: str) -> bytes:
     return json.dumps(replaced(content, place, PLACEHOLDER)).replace(json.dumps(PLACEHOLDER), raw, 1).encode()
 
 
-@st.composite
-def hostile_json(draw: st.DrawFn, text: bytes) -> tuple[bytes, str, Any]:
+def hostile_json(rng: Random, text: bytes) -> tuple[bytes, str, Any]:
     """JSON text with one hostile value or key; what it is, in words, and its place, or None for the whole text."""
     content = json.loads(text)
-    how = draw(st.sampled_from(("value", "value", "value", "value", "key", "whole")))
-    raw = draw(RAW)
+    how = rng.choice(("value", "value", "value", "value", "key", "whole"))
+    raw = raw_json(rng)
     shown = raw if len(raw) <= 60 else f"{raw[:40]}… ({len(raw)} characters)"
     if how == "whole":
-        cut = draw(st.integers(0, len(text)))
-        whole = draw(st.sampled_from((raw.encode(), text[:cut], b"\xff\xfe" + text, text + text, b"")))
+        cut = rng.randint(0, len(text))
+        whole = rng.choice((raw.encode(), text[:cut], b"\xff\xfe" + text, text + text, b""))
         return whole, f"the whole text: {whole[:40]!r}, {len(whole)} bytes", None
-    place = draw(st.sampled_from(places(content)))
+    place = rng.choice(places(content))
     name = ".".join(map(str, place))
     if how == "key" and isinstance(place[-1], str):
-        key = draw(st.sampled_from(TEXTS))
-        return (
-            json.dumps(replaced(content, (*place[:-1], key), 1)).encode(),
-            f"{name}: key {key[:60]!r}",
-            (*place[:-1], key),
-        )
+        place = (*place[:-1], key := rng.choice(TEXTS))
+        return json.dumps(replaced(content, place, 1)).encode(), f"{name}: key {key[:60]!r}", place
     return with_raw(content, place, raw), f"{name} = {shown}", place
 
 
-@st.composite
-def flipped(draw: st.DrawFn, content: bytes) -> bytes:
+def flipped(rng: Random, content: bytes) -> bytes:
     """Bytes of which a few are changed, or the end is cut off or doubled."""
     changed = bytearray(content)
-    for _ in range(draw(st.integers(1, 4))):
-        at = draw(st.integers(0, max(0, len(changed) - 1)))
-        new = draw(st.sampled_from((b"\0", b"\xff", b"\x80", b"\xff" * 4, b"\xff" * 8, b"\0" * 8, b"\x7f\xff\xff\xff")))
+    for _ in range(rng.randint(1, 4)):
+        at = rng.randint(0, max(0, len(changed) - 1))
+        new = rng.choice((b"\0", b"\xff", b"\x80", b"\xff" * 4, b"\xff" * 8, b"\0" * 8, b"\x7f\xff\xff\xff"))
         changed[at : at + len(new)] = new
-    end = draw(st.sampled_from(("", "", "cut", "doubled")))
-    return (
-        bytes(changed)[: draw(st.integers(0, len(changed)))]
-        if end == "cut"
-        else bytes(changed) * (1 + (end == "doubled"))
-    )
+    end = rng.choice(("", "", "cut", "doubled"))
+    if end == "cut":
+        return bytes(changed)[: rng.randint(0, len(changed))]
+    return bytes(changed) * (1 + (end == "doubled"))

@@ -20,8 +20,6 @@ Make = Callable[[Honest], Case]
 
 
 def bomb(size: int, copies: int, tool: str) -> Make:
-    """Files of zeros, in cells of their own."""
-
     def make(honest: Honest) -> Case:
         zeros = bomb_of(size * MB, b"\0")
         bombs = [Entry(f"cells/a/b/c/d/seed{number}/model.ply", b"", bomb=zeros) for number in range(copies)]
@@ -31,13 +29,10 @@ def bomb(size: int, copies: int, tool: str) -> Make:
 
 
 def many(name: str, tool: str) -> Make:
-    """2000 tiny files."""
     return lambda honest: of_pack(honest, zipped([Entry(name % number, b"{}") for number in range(2000)]), name, tool)
 
 
 def setting(cell: str, place: str, value: object, tool: str) -> Make:
-    """A setting in a record."""
-
     def make(honest: Honest) -> Case:
         name = f"{cell}/{RECORD}"
         record = replaced(json.loads(honest.pack[name]), ("config", *place.split(".")), value)
@@ -48,15 +43,12 @@ def setting(cell: str, place: str, value: object, tool: str) -> Make:
 
 
 def changed(cell: str, name: str, change: Callable[[bytes], bytes], tool: str) -> Make:
-    """A file of a cell; all hashes fit."""
     return lambda honest: of_folder(
         fitting(honest.pack, cell, {name: change(honest.pack[f"{cell}/{name}"])}), name, tool
     )
 
 
 def checkpoint(how: str) -> Make:
-    """A checkpoint."""
-
     def make(honest: Honest) -> Case:
         content = PICKLES[how](honest.pack[f"{WITH_PARTS}/parts.pt"])
         return Case(how, {"a.pt": content, **cell_files(honest)}, (CHECKPOINT, "a.pt", "cell"))
@@ -65,8 +57,6 @@ def checkpoint(how: str) -> Make:
 
 
 def scene(name: str, content: bytes | Special | Callable[[bytes], bytes], text: bool = False) -> Make:
-    """A file of a scene. text: whether its model is text."""
-
     def make(honest: Honest) -> Case:
         files = dict(honest.scenes["3dgs"])
         if text:
@@ -81,17 +71,14 @@ def scene(name: str, content: bytes | Special | Callable[[bytes], bytes], text: 
 
 
 def with_header(how: str) -> Callable[[bytes], bytes]:
-    """A PLY file with another header."""
     return lambda model: model.replace(*ply_changes(model)[how])
 
 
 def doubled_rows(table: bytes) -> bytes:
-    """A table with 200 000 rows more."""
     return table + b"".join(b"v%d," % n + table.splitlines()[1].partition(b",")[2] + b"\n" for n in range(200_000))
 
 
 def with_count(at: int) -> Callable[[bytes], bytes]:
-    """A binary file that counts 2⁶⁴ − 1 of something."""
     return lambda content: content[:at] + struct.pack("<Q", 2**64 - 1) + content[at + 8 :]
 
 

@@ -40,9 +40,7 @@ class Report:
     rgb_size: tuple[int, int] | None = None
     thermal_size: tuple[int, int] | None = None
     size: tuple[int, int] | None = None
-    mapping: tuple[float, float, float] | None = (
-        None  # RATIO, X and Y of --mapping; None of a homography, or without RGB
-    )
+    mapping: tuple[float, float, float] | None = None  # of --mapping; None of a homography, or without RGB
     rgb_px: float = 1.0  # px of the RGB images per px of the output
     temperature: tuple[float, float] | None = None  # of image values 0 and 1, where images show them
     camera: str | None = None

@@ -1,1 +1,0 @@
-"""What several benchmarks share: clouds of Gaussians, and timing in turns."""
