@@ -12,7 +12,7 @@ from tdgbench.cells.record import Record
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import backend_names, load_backend
-from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.view import AS_3DGS, Blending
 from tdgbench.splats.determinacy import Determinacy
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import Pinhole, Render

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.losses import fused_losses
+from tdgbench.splats.cpu.losses import photometric
 from tdgbench.splats.view import Render
 from tdgbench.training.loop import train
 from tdgbench.training.method import Step
@@ -70,11 +70,11 @@ def test_every_exact_skip_leaves_the_result_alone(small_gray_scene):
 
 def test_prepared_images_are_kept_for_few_gaussians_alone(small_gray_scene, monkeypatch):
     limits = []
-    monkeypatch.setattr(fused_losses._PREPARED, "limit", limits.append)
-    for many in (1, fused_losses.MANY):
-        monkeypatch.setattr(fused_losses, "MANY", many)
+    monkeypatch.setattr(photometric._PREPARED, "limit", limits.append)
+    for many in (1, photometric.MANY):
+        monkeypatch.setattr(photometric, "MANY", many)
         train(ready_to_train(small_gray_scene, "3dgs", 3))
-    assert set(limits[: len(limits) // 2]) == {0} and set(limits[len(limits) // 2 :]) == {fused_losses.CACHE_BYTES}
+    assert set(limits[: len(limits) // 2]) == {0} and set(limits[len(limits) // 2 :]) == {photometric.CACHE_BYTES}
 
 
 def test_the_clock_stands_still_while_someone_looks(small_scene):

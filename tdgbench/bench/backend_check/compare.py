@@ -15,7 +15,7 @@ from torch import Tensor
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.backends import load_backend
-from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.view import AS_3DGS, Blending
 from tdgbench.splats.view import NEAR_PLANE
 
 NAMES = ("means", "quats", "scales", "opacities", "colors")
