@@ -8,7 +8,7 @@ setup(
     packages=[*find_packages(include=["tdgbench*", "methods*"]), *DATA],
     package_dir=DATA,
     package_data={
-        "tdgbench": ["py.typed"],
+        "tdgbench": ["py.typed", "templates/*"],
         "methods": ["py.typed"],
         "tdgbench.present": ["*.j2", "*.css", "*.js"],
         "tdgbench.report": ["*.j2", "*.css", "*.js"],

@@ -27,7 +27,7 @@ from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import photometric
 from tdgbench.training.method import Method, Share, Step
-from tdgbench.training.part import State, Stopping
+from tdgbench.training.part import Stopping
 
 EPSILON = 1e-8
 EDGES = 50, 150  # Canny's thresholds, of images from 0 to 255: cameras.py, line 41
@@ -98,6 +98,8 @@ class WithoutResets(DensityRules):
 class Rise(Stopping):
     """Ends a training once a smoothed loss rises (train.py, lines 130 to 143)."""
 
+    changing = ("_smoothed", "_before", "_risen_at")
+
     def __init__(self, after: int, every: int) -> None:
         self.after, self.every = after, every
         self._smoothed, self._before, self._risen_at = 0.0, FIRST_LOSS, 0
@@ -112,12 +114,6 @@ class Rise(Stopping):
                 self._risen_at = iteration
             self._before = self._smoothed
         return bool(self._risen_at)
-
-    def state_dict(self) -> State:
-        return {"smoothed": self._smoothed, "before": self._before, "risen_at": self._risen_at}
-
-    def load_state_dict(self, saved: State) -> None:
-        self._smoothed, self._before, self._risen_at = saved["smoothed"], saved["before"], saved["risen_at"]
 
     def report(self) -> dict[str, Any]:
         return {"rose_at": self._risen_at} if self._risen_at else {}

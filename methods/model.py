@@ -22,10 +22,7 @@ from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Frame, Method
 from tdgbench.training.splat_model import SplatModel
 
-THERMAL_DC, THERMAL_REST = (
-    "t_dc",
-    "t_rest",
-)  # chen-hangyu/Thermal-Gaussian-main, OMMG, scene/gaussian_model.py, line 208
+THERMAL_DC, THERMAL_REST = "t_dc", "t_rest"  # Thermal-Gaussian-main, OMMG, scene/gaussian_model.py, line 208
 VIEWS = 12  # training views that are compared
 TIE = 0.02  # lead of another image that is no lead
 # Of the views. It is 1 for 10 models at 24 to 39 dB; of 198 that were moved, 23 have more, which were turned by 10° or

@@ -24,7 +24,7 @@ from tdgbench.scenes.images import is_gray
 from tdgbench.scenes.inputs import hash_of, listed, read_array, read_bytes
 from tdgbench.scoring.scored_view import NotApplicableError
 from tdgbench.splats.view import Render
-from tdgbench.text import duration, one_line
+from tdgbench.text import duration, named, one_line
 from tdgbench.training.context import Context
 from tdgbench.training.method import Frame, Method
 from tdgbench.training.part import Part, State
@@ -151,7 +151,7 @@ class Renders(Method):
             pairs = [f"{views[i].name} shows {views[best[i]].name}" for i in np.flatnonzero(others)]
             doubts.append(
                 f"{self.name}: {others.sum()} of {count} renders look more like another view than like their own "
-                f"({_some(pairs)}); are their names, or `views` in {RUN}, in the right order, and are "
+                f"({named(sorted(pairs))}); are their names, or `views` in {RUN}, in the right order, and are "
                 "they of this scene?"
             )
         if unlike.sum() > UNLIKE_SHARE * count:
@@ -171,7 +171,7 @@ class Renders(Method):
         """Return the file of each test view. Raises SceneError for files and views without each other."""
         views = [view.name for view in scene.test]
         if "<number>" in self.layout.renders and sorted(run.views or ()) != sorted(views):
-            faults = f"wrong: {_some(set(views) ^ set(run.views or ())) or 'a name is there twice'}"
+            faults = f"wrong: {named(sorted(set(views) ^ set(run.views or ()))) or 'a name is there twice'}"
             raise SceneError(
                 f"{self.folder / RUN}: views must name the {len(views)} test views of {scene.name} in the order of the "
                 f"files, which have numbers; {faults if run.views else f'by name they are {json.dumps(sorted(views))}'}"
@@ -185,7 +185,7 @@ class Renders(Method):
             elif path.name != RUN and not re.fullmatch(self.layout.others, path.name):
                 unknown.append(path.name)
         if len(runs) > 1:
-            raise SceneError(f"{self.folder} has renders of several epochs ({_some(runs)}); keep those of one")
+            raise SceneError(f"{self.folder} has renders of several epochs ({named(sorted(runs))}); keep those of one")
         for view in views:
             if len(by_view[view]) > 1:
                 first, second = by_view[view][:2]
@@ -193,8 +193,8 @@ class Renders(Method):
         missing = {view for view in views if not by_view[view]}
         unknown += [path.name for view in sorted(by_view.keys() - set(views)) for path in by_view[view]]
         if missing or unknown:
-            problems = [f"test views without a file: {_some(missing)}"] * bool(missing)
-            problems += [f"files of no test view of {scene.name}: {_some(unknown)}"] * bool(unknown)
+            problems = [f"test views without a file: {named(sorted(missing))}"] * bool(missing)
+            problems += [f"files of no test view of {scene.name}: {named(sorted(unknown))}"] * bool(unknown)
             remedy = self._remedy(unknown) or "there must be one file per test view"
             raise SceneError(f"{self.folder}: {'; '.join(problems)}; {remedy}")
         return {view: path for view, (path,) in by_view.items()}  # in the order of the files, as they are hashed
@@ -302,9 +302,3 @@ def _array(path: Path, run: Run, scene: Scene) -> np.ndarray:
         what = f"{median:.3g} in its median, where images are in [0, 1]"
         raise SceneError(f"{path} is {what}; is value_range={run.value_range} in {RUN} right?")
     return values.astype(np.float32)
-
-
-def _some(names: Any) -> str:
-    """Return the first names of many."""
-    few = sorted(names)[:5]
-    return ", ".join(few) + (f" and {len(names) - len(few)} more" if len(names) > len(few) else "")

@@ -70,8 +70,8 @@ class TDg(ThermalGaussianLosses):
         return replace(step, loss=step.loss + weight * depth, terms={**step.terms, "depth": depth})
 
     def _decay(self, iteration: int) -> float:
-        if self.decay == "switch":
-            return switch_weight(iteration, self.depth_end)
+        if self.decay == "switch":  # the hard supervision switch that eq. 7 avoids
+            return float(iteration < self.depth_end)
         return decay_weight(iteration, 1, self.depth_end)
 
     def _depth_loss(self, view: View, render: Render) -> Tensor:
@@ -182,11 +182,6 @@ def decay_weight(iteration: int, start: int, end: int) -> float:
     [1.0, 0.5, 0.0, 0.0]
     """
     return 1.0 - (iteration - start) / (end - start) if iteration < end else 0.0
-
-
-def switch_weight(iteration: int, end: int) -> float:
-    """Return the weight of the hard supervision switch that eq. 7 avoids: 1 before `end`, then 0."""
-    return float(iteration < end)
 
 
 @torch.no_grad()

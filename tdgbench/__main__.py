@@ -49,7 +49,7 @@ def main() -> int:
                 return interruption.status
             if wants_traceback:
                 raise
-            from tdgbench.experiments.error_message import error_message
+            from tdgbench.bench.failures import error_message
 
             say(error_message(error, sys.argv[1:]), "error:", stderr=True)
             return 1
@@ -59,10 +59,10 @@ def main() -> int:
 
 def _kept() -> str:
     """Return what is kept of an interrupted run, if it has begun."""
-    callback = getattr(sys.modules.get("tdgbench.experiments.callback"), "ExperimentCallback", None)
+    callback = getattr(sys.modules.get("tdgbench.experiments.experiment"), "ExperimentCallback", None)
     if callback is None or callback.folder is None:
         return ""
-    from tdgbench.bench.stored import stored_in_words
+    from tdgbench.bench.run_cell import stored_in_words
 
     return f"; {stored_in_words(callback.folder)}"
 

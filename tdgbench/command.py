@@ -18,8 +18,7 @@ from tdgbench import __version__
 from tdgbench.bench.commit import commit_in_words
 from tdgbench.resources import conf_folder, import_from_working_folder
 from tdgbench.terminal import console, say
-from tdgbench.tools import TOOLS
-from tdgbench.usage import usage
+from tdgbench.tools import TOOLS, usage
 
 DEMO = "+experiment=demo"
 FULL_ERROR = "HYDRA_FULL_ERROR"  # environment variable; Hydra raises its errors instead of printing tracebacks
@@ -44,7 +43,7 @@ def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
     else:
         if console(stderr=True).is_terminal:
             say(f"tdgbench {__version__}: loading", stderr=True)  # a person would wait seconds for the first line
-        from tdgbench.experiments import callback  # noqa: F401 (what experiments need)
+        from tdgbench.experiments import experiment  # noqa: F401 (what experiments need)
 
         on_loaded()
         import_from_working_folder()

@@ -1,4 +1,4 @@
-"""Files: open what others made as data, within limits; write files and folders whole or not at all.
+"""Files: open what others made as data, within limits; write files and folders whole or not at all; lock.
 
 Permissions of what is written follow the umask.
 """
@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import BufferedReader
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 MB = 2**20
 SYNC_ONCE = 2000  # files of a folder from which on all disks are flushed once, and not each file
@@ -216,3 +218,25 @@ def _names_to_disk(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+@contextmanager
+def file_lock(path: Path) -> Iterator[bool]:
+    """Try to lock a file; yield False at once if another process holds it.
+
+    Raises OSError, with the path and the remedy, if the file cannot be made.
+    """
+    lock = FileLock(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock.acquire(timeout=0)
+    except Timeout:
+        yield False
+        return
+    except OSError as error:
+        what = f"{error.strerror or error}: no lock can be made here; remove what is in its place, or make it writable"
+        raise OSError(error.errno, what, str(error.filename or path)) from error
+    try:
+        yield True
+    finally:
+        lock.release()

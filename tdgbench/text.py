@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from typing import Any
 
 MOST_NAMED = 5  # names in a message
-ABSOLUTE = re.compile(r"(?<![\w/.:%-])(?:/|~/|[A-Za-z]:[/\\]+)(?:[\w.+@-]+[/\\]+)+[\w.+@=,-]+")  # paths
+# Absolute paths, whose folders may have spaces: what in a text tells whose machine it was made on.
+ABSOLUTE = re.compile(r"(?<![\w/.:%-])(?:/|~/|[A-Za-z]:[/\\]+)(?! )(?:[\w.+@~ -]+[/\\]+)+[\w.+@~=,-]+")
 FORMULA = ("=", "+", "-", "@", "'", "\t", "\r", "\n")  # a spreadsheet would run what begins with one of them
 
 
@@ -31,17 +32,27 @@ def shortened(text: str, most: int = 300) -> str:
     return line if len(line) <= most else line[: most - 1] + "…"
 
 
+def absolute_paths(text: str) -> list[str]:
+    """Return the absolute paths in a text, each once.
+
+    >>> absolute_paths('{"weights": "/home/ada/a b/vgg.npz", "shape": "3/4", "url": "https://a.org/b/c"}')
+    ['/home/ada/a b/vgg.npz']
+    """
+    return list(dict.fromkeys(ABSOLUTE.findall(text)))
+
+
 def without_folders(text: str) -> str:
     """Return the text with absolute paths cut to their last name, or to the cell: pages go to other people.
 
-    >>> without_folders("data.root=/home/ada/arco; ~/x/e/cells/tdg/log.csv: 3/4, https://a.org/b")
+    >>> without_folders("data.root=/home/ada/my data/arco; ~/x/e/cells/tdg/log.csv: 3/4, https://a.org/b")
     'data.root=.../arco; .../cells/tdg/log.csv: 3/4, https://a.org/b'
     """
-    return ABSOLUTE.sub(lambda found: _place(found[0].replace("\\", "/").split("/")), text)
 
+    def place(found: re.Match[str]) -> str:
+        parts = found[0].replace("\\", "/").split("/")
+        return "/".join(["...", *(parts[parts.index("cells") :] if "cells" in parts else parts[-1:])])
 
-def _place(parts: list[str]) -> str:
-    return "/".join(["...", *(parts[parts.index("cells") :] if "cells" in parts else parts[-1:])])
+    return ABSOLUTE.sub(place, text)
 
 
 def first_few(names: Iterable[str]) -> str:
@@ -51,6 +62,17 @@ def first_few(names: Iterable[str]) -> str:
     'a, b, c, d, e'
     """
     return ", ".join(sorted(names)[:MOST_NAMED])
+
+
+def named(names: Iterable[str]) -> str:
+    """Return the first few names in their order, once each, and how many more there are.
+
+    >>> named("abcdefg")
+    'a, b, c, d, e and 2 more'
+    """
+    listed = list(dict.fromkeys(names))
+    more = len(listed) - MOST_NAMED
+    return ", ".join(listed[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def duration(seconds: float) -> str:

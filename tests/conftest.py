@@ -16,18 +16,15 @@ import pytest
 import torch
 import yaml
 from omegaconf._utils import get_yaml_loader
-from rich.console import Console
 
 from tdgbench.bench.backend_check import choose
 from tdgbench.bench.backend_check.choose import AutoBackend
-from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.run_cell import run_cell
 from tdgbench.scenes import Scene
 from tdgbench.scenes.read import Outline
 from tdgbench.scenes.synthetic import SyntheticDataset
 from tdgbench.splats.backends.cuda import CudaBackend
 from tdgbench.splats.cpu import pool
-from tests.helpers.configs import SMALL, config
+from tests.helpers.cells import small_cells
 from tests.helpers.masks import masked_scene, with_garbage
 from tests.helpers.paths import SHARED, lpips_backbone
 from tests.helpers.scenes import small_dataset
@@ -139,15 +136,11 @@ def small_gray_scene(data_root) -> Scene:
 def small_results(tmp_path_factory, data_root) -> Path:
     """An experiment's folder with three finished cells, gray and coloured, and a failed one; only to be read."""
     results = tmp_path_factory.mktemp("results")
-    common = (*SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
-              f"results={results}")  # fmt: skip
-    progress = CellProgress(Console(quiet=True), 30)
-    for overrides in (["scene=turntable"], ["scene=turntable", "method=msmg"], ["scene=orbit"]):
-        assert run_cell(config(*common, *overrides), "", progress).status == "ok"
+    finished = ("scene=turntable",), ("scene=turntable", "method=msmg"), ("scene=orbit",)
+    small_cells(results, data_root, *finished)
     with pytest.MonkeyPatch.context() as patch:  # wherever a GPU is
         patch.setattr(CudaBackend, "why_not", lambda self: "torch finds no CUDA GPU")
-        assert run_cell(config(*common, "backend=cuda", "scene=night"), "", progress).status == "failed"
-    return results / "single"
+        return small_cells(results, data_root, ("backend=cuda", "scene=night"), status="failed")
 
 
 @pytest.fixture(scope="session")
@@ -156,10 +149,7 @@ def masked_results(tmp_path_factory, data_root) -> Path:
 
     A test view of the second one has no valid pixel.
     """
-    results = tmp_path_factory.mktemp("masked")
-    common = (*SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}",
-              f"results={results}")  # fmt: skip
-    progress, outline = CellProgress(Console(quiet=True), 30), SyntheticDataset.outline
+    outline = SyntheticDataset.outline
 
     def masked(dataset: SyntheticDataset, name: str) -> Outline:
         whole = outline(dataset, name)
@@ -174,6 +164,5 @@ def masked_results(tmp_path_factory, data_root) -> Path:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SyntheticDataset, "outline", masked)
-        for overrides in (["scene=turntable", "method=msmg"], ["scene=facade", "method=3dgs"]):
-            assert run_cell(config(*common, *overrides), "", progress).status == "ok"
-    return results / "single"
+        cells = ("scene=turntable", "method=msmg"), ("scene=facade", "method=3dgs")
+        return small_cells(tmp_path_factory.mktemp("masked"), data_root, *cells)

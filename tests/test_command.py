@@ -9,8 +9,7 @@ import pytest
 
 from tdgbench import command
 from tdgbench.resources import conf_folder
-from tdgbench.tools import TOOLS
-from tdgbench.usage import usage
+from tdgbench.tools import TOOLS, usage
 
 
 def test_a_run_leaves_the_environment_as_it_was(monkeypatch):

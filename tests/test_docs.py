@@ -5,6 +5,7 @@ from __future__ import annotations
 import pkgutil
 import re
 import runpy
+import shlex
 import tomllib
 from pathlib import Path
 
@@ -13,7 +14,8 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from tdgbench import __version__
-from tdgbench.data.export.export import FORMATS
+from tdgbench.bench.options import check_options
+from tdgbench.data.export import FORMATS
 from tdgbench.data.get.sources import SOURCES
 from tdgbench.scenes.options import SPLITS
 from tdgbench.splats.backends import backend_names
@@ -125,11 +127,6 @@ def test_the_options_that_pages_set_exist():
     assert len(named) > 30 and without_an_option(named) == set()
 
 
-def test_an_option_that_does_not_exist_is_noticed():
-    right, wrong = ("dataset.loader.errors.thermal_camera.walk_degC", "dataset.loader.errors.camera.walk_degC")
-    assert without_an_option(set_options(f"`{right}=4 budget.iterations=9` `{wrong}=4`")) == {wrong}
-
-
 def test_the_commands_page_is_complete():
     text = COMMANDS.read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", text, re.MULTILINE))
@@ -144,14 +141,6 @@ def test_the_commands_page_is_complete():
     files = {path.stem for path in (ROOT / "benchmarks").glob("*.py")} - {"__init__"}
     for benchmark in files | {path.parent.name for path in (ROOT / "benchmarks").glob("*/__main__.py")}:
         assert f"`python -m benchmarks.{benchmark}" in text
-
-
-def test_pages_count_nothing_that_registries_do():
-    """A count of plug-ins would be wrong with the next one."""
-    numbers = "three|four|five|six|seven|eight|nine|ten|eleven|twelve|\\d+"
-    kinds = "backends|metrics|layouts|experiments|skips|tools|depth priors|budgets|image formats"
-    found = {page.name: re.findall(rf"(?i)\b(?:{numbers}) (?:{kinds})\b", page.read_text("utf-8")) for page in OF_TODAY}
-    assert {name: counts for name, counts in found.items() if counts} == {}
 
 
 @pytest.mark.parametrize("experiment, words", [("demo", "on four built-in scenes"), ("table1", "on 14 scenes")])
@@ -233,3 +222,19 @@ def test_the_files_and_modules_that_a_page_names_are_there(page):
     assert {name for name in ours if not any((root / name).exists() for root in (ROOT, ROOT / "tdgbench"))} == set()
     for name in set(re.findall(r"`(tdgbench(?:\.\w+)+)", text)):
         assert pkgutil.resolve_name(name), name
+
+
+TRAINING = re.compile(r"^(?:\| `)?tdgbench ((?:-m )?[^-`\n][^`\n]*=[^`\n]*)", re.MULTILINE)
+WITH_TRAININGS = ("README.md", "docs/tutorial.md", "docs/commands.md")
+TEXT = "\n".join((ROOT / page).read_text("utf-8") for page in WITH_TRAININGS).replace("\\\n", "")
+TRAININGS = sorted({line for line in TRAINING.findall(TEXT) if line.split()[0] not in TOOLS})
+
+
+@pytest.mark.parametrize("line", TRAININGS)
+def test_trainings_compose(line):
+    overrides = [re.sub(r"=([\w.]+),.*", r"=\1", word) for word in shlex.split(line) if word != "-m"]
+    check_options(config(*overrides))
+
+
+def test_trainings_are_found():
+    assert len(TRAININGS) > 12 and any("seed=0,1,2" in line and "tdg,msmg" in line for line in TRAININGS)

@@ -40,7 +40,7 @@ DOORS = {
     "tdgbench/bench/signature.py": {"OmegaConf.load": OURS},
     "tdgbench/children.py": {"subprocess.Popen": CHOSEN},
     "tdgbench/data/command.py": {"importlib.import_module": "a name of a table of ours"},
-    "tdgbench/data/export/command.py": {"instantiate": CHOSEN},
+    "tdgbench/data/export.py": {"instantiate": CHOSEN},
     "tdgbench/data/get/sources.py": {"target.open": OURS},
     "tdgbench/data/poses/metashape.py": {"zipfile.ZipFile": OPENED},
     "tdgbench/data/prepare/capture.py": {"np.load": OURS},
@@ -54,6 +54,7 @@ DOORS = {
     "tdgbench/experiments/stress/training.py": {"instantiate": CHOSEN},
     "tdgbench/experiments/sweep/plan.py": {"instantiate": CHOSEN},
     "tdgbench/experiments/thermal_camera.py": {"instantiate": CHOSEN},
+    "tdgbench/new.py": {"(PACKAGE / 'templates' / template).read_text": OURS},
     "tdgbench/priors/onnx.py": {"onnx.load": NAMED, "onnxruntime.InferenceSession": NAMED},
     "tdgbench/priors/prior.py": {
         "zipfile.ZipFile": OPENED,
@@ -65,14 +66,14 @@ DOORS = {
     "tdgbench/scenes/formats/pictures.py": {"Image.open": OPENED, "imagecodecs.png_decode": OPENED},
     "tdgbench/scenes/formats/tiff.py": {"TiffFile": OPENED},
     "tdgbench/scenes/inputs.py": {"np.load": OPENED},
-    "tdgbench/scenes/synthetic/dataset.py": {"np.load": OPENED, "p.read_bytes": OURS},
+    "tdgbench/scenes/synthetic/dataset.py": {"p.read_bytes": OURS},
     "tdgbench/scoring/backbones.py": {
         "np.load": NAMED,
         "torch.load": NAMED,
         "torch.hub.load_state_dict_from_url": NAMED,
     },
     "tdgbench/scoring/lpips.py": {"torch.load": "the lpips package"},
-    "tdgbench/scoring/registry.py": {"importlib.import_module": "the modules of scoring/metrics"},
+    "tdgbench/scoring/registry.py": {"importlib.import_module": "modules of scoring/metrics, and the user's"},
     "tdgbench/site/budgets.py": {"OmegaConf.load": "YAML of conf/"},
     "tdgbench/site/site_pages.py": {"path.read_text": OURS},
     "tdgbench/splats/backends/__init__.py": {"importlib.import_module": "a name of a table of ours"},
@@ -86,8 +87,7 @@ DOORS = {
     "tdgbench/tables/seed_spreads.py": {"OmegaConf.load": OURS},
     "tdgbench/tables/verdicts.py": {"OmegaConf.load": OURS},
     "tdgbench/tensors.py": {"zipfile.ZipFile": OPENED, "torch.load": OPENED},
-    "tdgbench/tools.py": {"importlib.import_module": "a name of a table of ours"},
-    "tdgbench/usage.py": {"path.read_text": OURS},
+    "tdgbench/tools.py": {"importlib.import_module": "a name of a table of ours", "path.read_text": OURS},
 }
 
 

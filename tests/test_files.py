@@ -1,12 +1,16 @@
 import errno
 import os
-import stat
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-import torch
 
-from tdgbench.files import finish_replacement, whole_file, whole_folder, write_text
+from tdgbench.files import file_lock, finish_replacement, whole_file, whole_folder, write_text
+from tests.helpers.cells import PulledPlugError
+from tests.helpers.paths import ROOT
+from tests.helpers.waiting import waited
 
 
 def test_a_file_is_whole_or_not_at_all(tmp_path):
@@ -46,29 +50,6 @@ def test_leftovers_of_killed_processes_are_removed(tmp_path):
     with whole_folder(tmp_path / "seed0") as part:
         (part / "a.png").touch()
     assert [p.name for p in tmp_path.iterdir()] == ["seed0"]
-
-
-@pytest.mark.parametrize(("umask", "folder", "file"), [(0o022, 0o755, 0o644), (0o027, 0o750, 0o640)])
-def test_permissions_follow_the_umask(tmp_path, umask, folder, file):
-    before = os.umask(umask)
-    try:
-        with whole_folder(tmp_path / "seed0") as part:
-            (part / "renders").mkdir()
-            (part / "renders" / "a.png").touch()
-        write_text(tmp_path / "table.csv", "a")
-        with whole_file(tmp_path / "checkpoint.pt") as part:
-            torch.save({"a": torch.zeros(1)}, part)
-    finally:
-        os.umask(before)
-    modes = {p.relative_to(tmp_path).as_posix(): stat.S_IMODE(p.stat().st_mode) for p in tmp_path.rglob("*")}
-    assert modes == {
-        "seed0": folder, "seed0/renders": folder, "seed0/renders/a.png": file, "table.csv": file,
-        "checkpoint.pt": file,
-    }  # fmt: skip
-
-
-class PulledPlugError(BaseException):
-    """Not an Exception, so that nothing catches it, like SIGKILL."""
 
 
 def killed_at_rename(number, monkeypatch):
@@ -154,3 +135,38 @@ def test_other_folders_are_no_leftovers(tmp_path):
     with whole_folder(tmp_path / "seed[01]"):
         pass
     assert other.exists()
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from tdgbench.files import file_lock
+with file_lock(Path(sys.argv[1])) as acquired:
+    print(acquired, flush=True)
+    time.sleep(60)
+"""
+
+
+def test_one_at_a_time(tmp_path):
+    a, b = tmp_path / "a.lock", tmp_path / "new" / "b.lock"
+    with file_lock(a) as first, file_lock(a) as second, file_lock(b) as other:
+        assert (first, second, other) == (True, False, True)
+    with file_lock(a) as again:
+        assert again
+
+
+def test_a_killed_process_releases_its_lock(tmp_path):
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path / "a")], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    assert holder.stdout.readline().strip() == "True"
+    with file_lock(tmp_path / "a") as acquired:
+        assert not acquired
+    holder.send_signal(signal.SIGKILL)
+    holder.wait()
+
+    def is_free():
+        with file_lock(tmp_path / "a") as acquired:
+            return acquired
+
+    waited(is_free, 10, "the lock of a killed process is free")

@@ -7,7 +7,6 @@ import re
 import shutil
 import subprocess
 import sys
-from unittest import mock
 
 import pandas as pd
 import pytest
@@ -144,19 +143,6 @@ def test_existing_scenes_run_while_others_are_missing(tmp_path, data_root, small
     assert len(rows) == 2 and not any(row.split(",")[5] == "n/a" for row in rows)  # ours
 
 
-def test_other_swept_keys_separate_cells(tmp_path, data_root):
-    swept = ("-m", "method=3dgs", "scene=facade", "method.method.lambda_ssim=0.2,0.5")
-    run = command_here(tmp_path, *swept, f"data.root={data_root}", *QUICK)
-    assert run.returncode == 0 and "2 cells run" in run.stdout
-    variants = {r.variant for r in read_all(tmp_path / "results" / "single")}
-    assert variants == {"method.method.lambda_ssim=0.2", "method.method.lambda_ssim=0.5"}
-
-
-def test_a_wrong_option_is_one_clear_error(tmp_path):
-    run = command_here(tmp_path, "methd=tdg")
-    assert run.returncode != 0 and "methd" in run.stderr
-
-
 def test_a_wrong_tool_is_one_clear_error(tmp_path):
     run = tdgbench_here(tmp_path, "tabels", "results/demo")
     assert run.returncode == 2 and run.stdout == ""
@@ -173,15 +159,6 @@ def test_version_and_hydra_s_help(tmp_path):
     assert "lambda_depth: 0.2" in tdgbench_here(tmp_path, "--cfg", "job").stdout
 
 
-def test_tools_take_the_words_after_their_name(tmp_path, small_results):
-    run = tdgbench_here(tmp_path, "verify", str(small_results))
-    assert run.returncode == 0, run.stderr
-    assert "4 cells, 3 of them finished, 0 problems" in run.stdout.replace("\n", " ")
-    run = tdgbench_here(tmp_path, "tables", str(tmp_path / "nothing"))
-    assert run.returncode == 1 and "nothing is not there" in run.stderr
-    assert tdgbench_here(tmp_path, "tables", "--help").stdout.startswith("usage: tdgbench tables")
-
-
 def test_a_method_with_the_name_of_another_one_is_refused(tmp_path):
     """As a copied YAML file has it: its cells would be those of the other method."""
     (tmp_path / "yaml" / "method").mkdir(parents=True)
@@ -189,23 +166,6 @@ def test_a_method_with_the_name_of_another_one_is_refused(tmp_path):
     run = command_here(tmp_path, "--config-dir", "yaml", "method=mine", "scene=facade", *QUICK)
     assert run.returncode == 1
     assert "method.name=3dgs: is another method; set `name: mine` in mine.yaml" in run.stdout + run.stderr
-
-
-def test_plug_ins_in_the_working_folder(tmp_path, data_root):
-    """A method and its YAML outside the checkout: `--config-dir` finds one, the working folder the other."""
-    (tmp_path / "mine.py").write_text(
-        "from methods.gaussian_splatting import GaussianSplatting as Base\n\n\nclass Mine(Base):\n    pass\n"
-    )
-    (tmp_path / "yaml" / "method").mkdir(parents=True)
-    text = (ROOT / "conf" / "method" / "3dgs.yaml").read_text()
-    text = text.replace("name: 3dgs", "name: mine").replace("methods.gaussian_splatting.GaussianSplatting", "mine.Mine")
-    (tmp_path / "yaml" / "method" / "mine.yaml").write_text(text)
-    words = ("--config-dir", "yaml", "method=mine", "scene=facade", f"data.root={data_root}", *QUICK)
-    with mock.patch.dict(sys.modules):  # it is forgotten
-        run = command_here(tmp_path, *words)
-    assert run.returncode == 0 and "1 cell run" in run.stdout, run.stderr[-3000:]
-    (record,) = read_all(tmp_path / "results" / "single")
-    assert (record.scene, record.method, record.variant, record.status) == ("facade", "mine", "", "ok")
 
 
 @pytest.mark.parametrize(

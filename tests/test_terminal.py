@@ -5,14 +5,13 @@ from __future__ import annotations
 import io
 import os
 import re
-import struct
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tdgbench.terminal import GuardedStream, console, say
+from tdgbench.terminal import GuardedStream, say
 from tests.helpers.paths import ROOT
 
 EIGHT_BITS = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONIOENCODING": "ascii"}
@@ -81,12 +80,6 @@ def test_a_stream_that_breaks_later(capsys):
     assert capsys.readouterr().err == "note: nothing more is printed to standard output: it is closed\n"
 
 
-def test_a_console_prints_where_the_stream_is_now(capsys):
-    console().print("out")
-    console(stderr=True).print("err")
-    assert capsys.readouterr() == ("out\n", "err\n")
-
-
 WIDE = """
 from rich.table import Table
 from tdgbench.terminal import console
@@ -106,22 +99,6 @@ def test_nothing_is_cut_or_wrapped_where_there_is_no_terminal(variables):
     lines = STYLE.sub("", run.stdout).splitlines()
     assert lines[3].count("a name with spaces") == 40 and "column 39" in lines[1] and "…" not in run.stdout
     assert run.stderr == "word " * 40 + "\n" and lines[-1] == "False False"
-
-
-def test_a_terminal_keeps_its_width():
-    """A table is as wide as the terminal, and no wider."""
-    pty, fcntl, termios = (pytest.importorskip(name) for name in ("pty", "fcntl", "termios"))
-    reader, terminal = pty.openpty()
-    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 60, 0, 0))
-    environment = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "LINES")}
-    environment |= {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8", "TERM": "xterm"}
-    streams = {"stdin": terminal, "stdout": terminal, "stderr": terminal}
-    program = WIDE.replace("40", "4")
-    subprocess.run([sys.executable, "-c", program], env=environment, **streams, timeout=60, check=True)
-    os.close(terminal)
-    text = STYLE.sub("", os.read(reader, 1 << 16).decode())
-    os.close(reader)
-    assert max(map(len, text.splitlines())) == 60 and "True True" in text and "a name with spaces" not in text
 
 
 def test_a_message_of_megabytes_is_cut(capsys):

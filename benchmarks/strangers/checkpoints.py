@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from tdgbench.cells.cameras import read_cameras
 from tdgbench.cells.record import read_record
-from tdgbench.cells.stored_parts import MethodInTraining
+from tdgbench.cells.renders import MethodInTraining
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 from tdgbench.training.checkpoint import Checkpoint

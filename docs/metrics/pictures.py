@@ -8,8 +8,7 @@ import matplotlib
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tdgbench.scoring.metrics.psnr import psnr
-from tdgbench.scoring.metrics.psnr_fitted import best_gain_and_offset, psnr_affine
+from tdgbench.scoring.metrics.psnr import best_gain_and_offset, psnr, psnr_affine
 from tdgbench.scoring.metrics.ssim import ssim
 
 matplotlib.use("Agg")

@@ -30,7 +30,7 @@ from tdgbench.cells.paths import cell_folder_of, files_of, prior_cache, short_na
 from tdgbench.cells.protocol import protocol_of
 from tdgbench.cells.read_files import MOST_PIXELS
 from tdgbench.cells.record import MadeElsewhere, PartReport, Record
-from tdgbench.cells.stored_parts import write_parts
+from tdgbench.cells.renders import write_parts
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene, SceneError
 from tdgbench.scenes.datasets import Outline, outline_of
@@ -64,7 +64,6 @@ class TrainedCell(NamedTuple):
     scene: Scene
     response: ImageResponse
     log: TrainingLog
-    checkpoint: Checkpoint
     scorer: Scorer
 
 
@@ -159,10 +158,10 @@ class CellRun(SetupObserver):
                 trainer, show = ready.trainer, self.progress.line
                 log = train(trainer, lambda line: show(line, trainer.last_iteration), checkpoint.write_if_due, log)
             except TrainingError:
-                self._discard(checkpoint)  # training from it would end at the same iteration
+                self.discard_checkpoint()  # training from it would end at the same iteration
                 raise
         describe_training(self.record, ready, log, cell.skips, checkpoint.notes)
-        return TrainedCell(*ready, log, checkpoint, scorer)
+        return TrainedCell(*ready, log, scorer)
 
     def _warn_if_slow(self, trainer: Trainer) -> None:
         """Say before a long training on the CPU how long its networks alone will take."""
@@ -177,7 +176,7 @@ class CellRun(SetupObserver):
     def write(self, trained: TrainedCell) -> None:
         """Render and score the views; write the cell's folder whole or not at all."""
         record = self.record
-        trainer, scene, response, log, checkpoint, scorer = trained
+        trainer, scene, response, log, scorer = trained
         for model in trainer.gaussians.values():
             model.end()
         with whole_folder(self.folder) as unfinished:
@@ -198,7 +197,7 @@ class CellRun(SetupObserver):
                 write_log(unfinished, log)
             record.hashes, record.truth = hashes_below(unfinished), truth_hashes(scene.test)
             record.write(unfinished)
-        self._discard(checkpoint)
+        self.discard_checkpoint()
 
     def _announce(self, ready: Training) -> None:
         """Write what the checkpoints are of, for `tdgbench view --follow`: the record so far, and the cameras."""
@@ -217,11 +216,8 @@ class CellRun(SetupObserver):
 
     def discard_checkpoint(self) -> None:
         """Remove the cell's checkpoint, if there is one."""
-        self._discard(Checkpoint(self._checkpoint_path, {}, None))
-
-    def _discard(self, checkpoint: Checkpoint) -> None:
         try:
-            checkpoint.discard()
+            Checkpoint(self._checkpoint_path, {}, None).discard()
         except OSError as error:
             self.remarks.append(f"its checkpoint could not be removed: {error}")
 
@@ -260,7 +256,6 @@ class CellRun(SetupObserver):
             "backend": self.record.backend,
             **{name: self.record.environment[name] for name in SAME_BYTES},
         }
-        checkpoint = Checkpoint(self._checkpoint_path, made_with, self.cfg.checkpoint)
         if self.cfg.overwrite == "always":
-            self._discard(checkpoint)
-        return checkpoint
+            self.discard_checkpoint()
+        return Checkpoint(self._checkpoint_path, made_with, self.cfg.checkpoint)

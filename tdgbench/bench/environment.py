@@ -58,11 +58,12 @@ def _own_code() -> bytes:
 def _plug_in_files(config: object) -> Iterator[Path]:
     """Yield the modules of a configuration's plug-ins that are neither tdgbench's own nor an installed package's."""
     if isinstance(config, dict):
-        name = str(config.get("_target_", "")).rpartition(".")[0]
-        file = getattr(sys.modules.get(name), "__file__", None)
         known = [ROOT / "tdgbench", ROOT / "methods", *(Path(sysconfig.get_path(n)) for n in ("purelib", "stdlib"))]
-        if file is not None and not any(Path(file).is_relative_to(folder) for folder in known):
-            yield Path(file)
+        extra = config.get("extra")  # of `metrics`
+        for name in [config.get("_target_", ""), *(extra if isinstance(extra, list) else ())]:
+            file = getattr(sys.modules.get(str(name).rpartition(".")[0]), "__file__", None)
+            if file is not None and not any(Path(file).is_relative_to(folder) for folder in known):
+                yield Path(file)
         for value in config.values():
             yield from _plug_in_files(value)
 

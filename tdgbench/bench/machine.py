@@ -16,7 +16,7 @@ from typing import Any
 
 import torch
 
-from tdgbench.bench.lock import file_lock
+from tdgbench.files import file_lock
 from tdgbench.splats.cpu.scratch import free_buffers
 
 LOCKS = Path(tempfile.gettempdir()) / f"tdgbench-gpus-{os.getuid()}"  # of all results folders of this user

@@ -25,8 +25,9 @@ from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scenes.view_images import PALETTE
 from tdgbench.scoring import Scorer
 from tdgbench.text import shortened
+from tdgbench.training.budget import account
 from tdgbench.training.loop import TrainingLog
-from tdgbench.training.skips import Finished, Skips, account
+from tdgbench.training.skips import Finished, Skips
 from tdgbench.training.splat_model import SplatModel
 
 GRAY = "gray, in three equal channels"
@@ -62,7 +63,7 @@ def describe_training(record: Record, ready: Training, log: TrainingLog, skips: 
     budget, method = trainer.whole_context.budget, trainer.method
     on_rgb = "rgb" in method.modalities
     finished = Finished(scene, on_rgb, budget.iterations, log.iterations, curricula, work)
-    record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(skips, finished, budget.accounts)]
+    record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(budget, skips, finished)]
 
 
 def state_assumptions(record: Record, scene: Scene) -> None:

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
-from dataclasses import replace
+import time
+from contextlib import AbstractContextManager, ExitStack, suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench import failures, stored
+from tdgbench.bench import failures
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.cell_phases import CellRun
 from tdgbench.bench.environment import describe_environment
-from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.machine import PeakMemory, exclusive_gpu, visible_gpus
 from tdgbench.bench.options import check_names, check_options
-from tdgbench.bench.outcome import Outcome, Status, finished
-from tdgbench.bench.progress import CellProgress
-from tdgbench.cells.key import why_differs
-from tdgbench.cells.paths import RECORD_FILE
-from tdgbench.cells.record import Record, readable_record
-from tdgbench.files import finish_replacement
+from tdgbench.bench.progress import CellProgress, Outcome, Status, finished
+from tdgbench.cells.folder import hashes_below
+from tdgbench.cells.key import as_json, why_differs
+from tdgbench.cells.paths import RECORD_FILE, hidden_folder, short_name
+from tdgbench.cells.record import Failure, Record, readable_record, record_files
+from tdgbench.files import file_lock, finish_replacement, put_in_place, whole_folder
 from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import MissingScenesError
 from tdgbench.splats.cpu import pool
@@ -105,7 +105,7 @@ def _kept_outcome(run: CellRun, existing: Record | None) -> Outcome | None:
     """
     cfg, record = run.cfg, run.record
     outcome = None if existing is None else _outcome_without_run(existing, record, cfg)
-    if outcome is None and cfg.overwrite != "always" and stored.restore(run.folder, record, existing):
+    if outcome is None and cfg.overwrite != "always" and restore(run.folder, record, existing):
         outcome = Outcome("kept", record.title, "restored: its settings are those of an earlier result")
     if outcome is None:
         return None
@@ -131,7 +131,7 @@ def _keep_failure(error: BaseException, run: CellRun | None) -> str:
         with ExitStack() as held:
             if not run.is_locked and not held.enter_context(cell_lock(run.experiment, run.folder)):
                 raise OSError("another process is running the cell")
-            written = stored.write_failure(run.folder, run.record, failure)
+            written = write_failure(run.folder, run.record, failure)
             if written and not isinstance(error, failures.EXPECTED_ERRORS):
                 message += f"; traceback: {run.folder / RECORD_FILE}"
     except Exception as unwritten:
@@ -155,3 +155,62 @@ def _outcome_without_run(existing: Record, record: Record, cfg: DictConfig) -> O
         changes = "; ".join(why_differs(existing, record))
         return Outcome("kept", record.title, f"overwrite=never keeps a result of other settings ({changes})")
     return None
+
+
+def cell_lock(experiment: Path, folder: Path) -> AbstractContextManager[bool]:
+    """Return a context that tries to lock the cell of `folder`, and tells whether it worked.
+
+    The system releases a lock when its process ends, for whatever reason. Lock files are never removed: that would let
+    a process that waits for the old file and one that makes a new file hold the lock at the same time.
+    """
+    return file_lock(experiment / "locks" / f"{short_name(experiment, folder)}.lock")
+
+
+def write_failure(folder: Path, record: Record, failure: Failure) -> bool:
+    """Replace the content of a cell's folder by the record of its failure; move a finished result to a hidden folder.
+
+    A finished result stays in its place if the environment failed and the key is unknown or that of the result; returns
+    whether the record was written. The caller must hold the cell's lock.
+    """
+    record.status, record.failure = "failed", Failure(**as_json(asdict(failure)))
+    existing = readable_record(folder)
+    if existing is not None and existing.status == "ok":
+        if failure.of_environment and record.key in ("", existing.key):
+            return False
+        put_in_place(folder, hidden_folder(folder, existing.key))
+    record.scores, record.train_scores, record.hashes, record.truth = {}, {}, {}, {}
+    for name in ("config", "environment", "init_points", "prior"):
+        setattr(record, name, as_json(getattr(record, name)))
+    with whole_folder(folder) as part:
+        record.write(part)
+    return True
+
+
+def restore(folder: Path, record: Record, existing: Record | None) -> bool:
+    """Put the hidden result of the record's key back into a cell's folder, if its files are whole.
+
+    existing: the record in the folder; a failure of the same key stays. The caller must hold the cell's lock.
+    """
+    hidden = hidden_folder(folder, record.key)
+    kept = readable_record(hidden)
+    if kept is None or kept.status != "ok" or kept.key != record.key:
+        return False
+    if existing is not None and existing.key == record.key:
+        return False
+    if not kept.hashes or not kept.hashes.items() <= hashes_below(hidden).items():
+        return False
+    put_in_place(hidden, folder)
+    return True
+
+
+def stored_in_words(experiment: Path) -> str:
+    """Return what an interrupted run leaves on disk, in words: finished cells and the newest checkpoint."""
+    records = [readable_record(path.parent) for path in record_files(experiment)]
+    count = sum(record is not None and record.status == "ok" for record in records)
+    cells = f"{count} finished {'cell' if count == 1 else 'cells'}"
+    written = []
+    for path in (experiment / "checkpoints").glob("[!.]*.pt"):
+        with suppress(OSError):  # another process has just removed it
+            written.append(path.stat().st_mtime)
+    state = f" and a checkpoint of {max(0, time.time() - max(written)):.0f} s ago" if written else ""
+    return f"{experiment} keeps {cells}{state}; the same command goes on from there"

@@ -14,7 +14,7 @@ from tdgbench.cells.paths import DETERMINACY, MASKS, files_of
 from tdgbench.cells.renders import depth_of, determinacy_of
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.modalities import OTHERS, THERMAL, image_of
-from tdgbench.scoring import TRAIN_METRICS, RenderedImages, Scorer, Scores, mean_scores, to_8bit
+from tdgbench.scoring import RenderedImages, Scorer, Scores, mean_scores, to_8bit
 from tdgbench.scoring.scored_view import NotApplicableError
 from tdgbench.splats.cpu import pool
 from tdgbench.thermal import IDEAL, ImageResponse
@@ -42,10 +42,10 @@ def score_training_views(trainer: Trainer, scene: Scene, scorer: Scorer, respons
         try:
             renders = {view.name: render_images(trainer, view, response, others=()) for view in views}
         except NotApplicableError as error:
-            scorer.missing |= {f"train_{metric}": str(error) for metric in TRAIN_METRICS}
-            return dict.fromkeys(TRAIN_METRICS)
+            scorer.missing |= {f"train_{metric}": str(error) for metric in scorer.train_metrics}
+            return dict.fromkeys(scorer.train_metrics)
         scores |= scorer.score_train(views, renders)
-    return mean_scores(scores, TRAIN_METRICS)
+    return mean_scores(scores, scorer.train_metrics)
 
 
 def batches(count: int) -> list[tuple[int, int]]:

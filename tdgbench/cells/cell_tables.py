@@ -19,11 +19,12 @@ NOT_APPLICABLE = "n/a"
 
 def write_views(folder: Path, scores: dict[str, Scores]) -> None:
     """Write scores by view and metric: one row per view; n/a where a metric has no value."""
+    metrics = list(next(iter(scores.values()), METRICS))
     with (folder / VIEWS_FILE).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["view", *METRICS])
+        writer.writerow(["view", *metrics])
         for name, values in scores.items():
-            writer.writerow([csv_text(name), *(NOT_APPLICABLE if values[m] is None else values[m] for m in METRICS)])
+            writer.writerow([csv_text(name), *(NOT_APPLICABLE if values[m] is None else values[m] for m in metrics)])
 
 
 def read_views(folder: Path) -> dict[str, Scores]:

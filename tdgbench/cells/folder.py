@@ -18,8 +18,15 @@ from tdgbench.cells.cell_tables import read_log, read_views
 from tdgbench.cells.paths import DETERMINACY, LOG_FILE, MASKS, PARTS_FILE, RECORD_FILE, files_of
 from tdgbench.cells.read_files import MAX_PICTURE, read_named
 from tdgbench.cells.record import Record, read_each
-from tdgbench.cells.renders import background_of, blending_of, depth_of, determinacy_of, render_model, response_of
-from tdgbench.cells.stored_parts import StoredMethod
+from tdgbench.cells.renders import (
+    StoredMethod,
+    background_of,
+    blending_of,
+    depth_of,
+    determinacy_of,
+    render_model,
+    response_of,
+)
 from tdgbench.files import content_of, sha256_of
 from tdgbench.scenes import Camera, Scene, View
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL

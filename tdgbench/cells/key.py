@@ -39,7 +39,8 @@ def relevant_metrics(metrics: dict[str, Any]) -> dict[str, Any]:
     """Return options of metrics as records keep them: which weights LPIPS has, not whether they may be downloaded."""
     lpips = {k: v for k, v in metrics["lpips"].items() if k != "download"}
     own = own_weights(lpips["net"], lpips["weights"])
-    return {**metrics, "lpips": {**lpips, "weights_sha256": own} if own else lpips}
+    named = {k: v for k, v in metrics.items() if k != "extra" or v}
+    return {**named, "lpips": {**lpips, "weights_sha256": own} if own else lpips}
 
 
 def _without_root(loader: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Classes that a record may name: those of conf/, and methods that this command line trusts.
+"""Classes that a record may name: those of conf/, and methods and metrics that this command line trusts.
 
 Records are data: a `_target_` in one is compared with these names and never imported itself.
 """
@@ -20,7 +20,7 @@ from tdgbench.resources import conf_folder, import_from_working_folder
 from tdgbench.text import shortened
 from tdgbench.training.method import Method
 
-_TRUSTED: set[str] = set()  # methods, as `_target_` names them
+_TRUSTED: set[str] = set()  # methods, as `_target_` names them, and metrics, as `metrics.extra` does
 
 
 class UnknownMethodError(ValueError):
@@ -28,27 +28,50 @@ class UnknownMethodError(ValueError):
 
 
 def add_trust_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add --config-dir and --trust, with which a user runs methods of their own on stored cells."""
+    """Add --config-dir and --trust, with which a user runs methods and metrics of their own on stored cells."""
     parser.add_argument("--config-dir", type=Path, action="append", default=[], metavar="DIR",
-                        help="folder of your YAML files; methods of DIR/method/ are run")  # fmt: skip
-    parser.add_argument("--trust", action="append", default=[], metavar="MODULE.CLASS",
-                        help="a method of yours that may be run: its _target_")  # fmt: skip
+                        help="folder of your YAML files; its methods and metrics are run")  # fmt: skip
+    parser.add_argument("--trust", action="append", default=[], metavar="MODULE.NAME",
+                        help="a method of yours that may be run, its _target_, or a metric")  # fmt: skip
 
 
 def trust(config_dirs: Iterable[Path] = (), targets: Iterable[str] = ()) -> None:
-    """Trust methods of folders of YAML files, and of these names, and no others.
+    """Trust methods and metrics of folders of YAML files, and of these names, and no others.
 
     Modules in the working folder are imported for them. Raises ValueError for a folder without such a file.
     """
     _TRUSTED.clear()
-    _TRUSTED.update(targets)
+    trust_also(targets)
     for folder in config_dirs:
-        found = set(_targets((folder / "method").glob("*.yaml")))
+        files = {group: sorted((folder / group).glob("*.yaml")) for group in ("method", "metrics")}
+        extra = [name for path in files["metrics"] for name in OmegaConf.select(OmegaConf.load(path), "extra") or ()]
+        found = {*_targets(files["method"]), *extra}
         if not found:
-            raise ValueError(f"--config-dir {folder}: {folder / 'method'} has no YAML file with a _target_")
-        _TRUSTED.update(found)
+            raise ValueError(
+                f"--config-dir {folder}: {folder / 'method'} has no YAML file with a _target_, "
+                f"{folder / 'metrics'} none with `extra`"
+            )
+        trust_also(found)
+
+
+def trust_also(names: Iterable[str]) -> None:
+    """Trust methods and metrics of these names beside those that are trusted."""
+    _TRUSTED.update(names)
     if _TRUSTED:
         import_from_working_folder()
+
+
+def extra_of(metrics: Any) -> list[str]:
+    """Return the metrics of the user that options of `metrics` in a record name. Raises ValueError if not trusted."""
+    names = (isinstance(metrics, dict) and metrics.get("extra")) or []
+    for name in names if isinstance(names, list) else [names]:
+        if not isinstance(name, str) or name not in _TRUSTED:
+            shown = shlex.quote(shortened(str(name), 80))
+            raise ValueError(
+                f"metric {shown} is none of tdgbench's and was not run: if it is yours, name it with --trust {shown}, "
+                "or the folder of its YAML with --config-dir"
+            )
+    return list(names)
 
 
 def method_of(record: Record) -> Method:

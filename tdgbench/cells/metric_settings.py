@@ -54,15 +54,18 @@ def metric_settings(metrics: Mapping[str, Any] | None) -> MetricSettings:
         raise ValueError(f"{RECORD_FILE}: {place}: {first['msg']}") from error
 
 
-def scorer_of(settings: MetricSettings, download: bool = False, weights: Path | None = None) -> Scorer:
+def scorer_of(
+    settings: MetricSettings, download: bool = False, weights: Path | None = None, extra: list[str] | None = None
+) -> Scorer:
     """Return the scorer of settings in a record.
 
     download: whether a missing backbone of LPIPS may be downloaded. weights: its file, which the command line names;
-    one that a record names is not opened. Without the weights of the record, LPIPS is n/a, with the reason.
+    one that a record names is not opened. Without the weights of the record, LPIPS is n/a, with the reason. extra:
+    metrics of the user, which the command line trusts.
     """
     net = settings["lpips"]["net"]
     lpips = LPIPSOptions(net, None if weights is None else str(weights), download)
-    scorer = Scorer(settings["convention"], settings["ssim_border"], settings["lpips_range"], lpips)
+    scorer = Scorer(settings["convention"], settings["ssim_border"], settings["lpips_range"], lpips, extra)
     scorer.no_lpips = why_no_lpips(settings["lpips"], weights)
     return scorer
 

@@ -34,6 +34,18 @@ class MethodEntry(NamedTuple):
     compared_with: str | None = None
 
 
+class MetricEntry(NamedTuple):
+    """How tables print a metric of the user, as its description says."""
+
+    label: Annotated[str, Field(min_length=1, max_length=100)]
+    meaning: Annotated[str, Field(max_length=1000)]
+    unit: Annotated[str, Field(max_length=20)]
+    digits: Annotated[int, Field(ge=0, le=9)]
+    higher_is_better: bool
+    limits: tuple[float | None, float | None]  # None: infinite
+    images: Annotated[str, Field(max_length=100)]
+
+
 @dataclass
 class Command:
     """A command that was run into an experiment's folder: its words, without folders of the machine, and when (UTC)."""
@@ -47,7 +59,7 @@ class Plan:
     """Kind of table; scenes, methods and inits of the sweep; other keys with several values; cells that have data.
 
     commands: that were run into the folder, the last one last; earlier versions do not state them. own_methods: entries
-    of methods whose files are in a folder of the user, by name.
+    of methods whose files are in a folder of the user, by name. own_metrics: of numbers by `metrics.extra`, by name.
     """
 
     __pydantic_config__ = ConfigDict(extra="forbid")
@@ -60,6 +72,7 @@ class Plan:
     cells_with_data: Annotated[int, Field(validation_alias=AliasChoices("cells_with_data", "cells_to_run"))] = 0
     commands: list[Command] = field(default_factory=list)
     own_methods: dict[str, MethodEntry] = field(default_factory=dict)
+    own_metrics: dict[str, MetricEntry] = field(default_factory=dict)
 
     def write(self, experiment: Path) -> None:
         experiment.mkdir(parents=True, exist_ok=True)
@@ -143,10 +156,13 @@ def number_of_jobs(config: DictConfig) -> int | None:
     return math.prod(len(values) for values in swept(config).values()) or None
 
 
-def configs_by(config: DictConfig, groups: Sequence[str]) -> Iterator[DictConfig]:
+def configs_by(
+    config: DictConfig, groups: Sequence[str], composed: dict[tuple[str, ...], DictConfig]
+) -> Iterator[DictConfig]:
     """Yield composed configurations of a run or sweep, one for each choice of the groups and of the options in them.
 
-    Only that of the command itself for a single run, and where the sweeper chooses values.
+    Only that of the command itself for a single run, and where the sweeper chooses values. composed: by overrides,
+    those of earlier calls, and then of this one: Hydra takes a quarter of a second for each.
     """
     if not swept(config) or number_of_jobs(config) is None:
         yield config
@@ -155,7 +171,9 @@ def configs_by(config: DictConfig, groups: Sequence[str]) -> Iterator[DictConfig
     jobs = [list(job) for job in BasicSweeper.split_arguments(_overrides(config), None)[0]]
     by_choice = {tuple(word for word in job if _key(word).split(".")[0] in groups): job for job in jobs}
     for job in by_choice.values():
-        yield loader.load_sweep_config(config, job)
+        if tuple(job) not in composed:
+            composed[tuple(job)] = loader.load_sweep_config(config, job)
+        yield composed[tuple(job)]
 
 
 def _key(word: str) -> str:

@@ -11,11 +11,11 @@ import json
 from typing import Any
 
 from tdgbench.cells.key import flat
-from tdgbench.cells.record import Record
 
 VERSION = 1  # raise it with every change of a metric, a split or a reader that changes a score
 MEASURED_ON = ("split", "channels", "temperature_range", "views", "masked")  # fields of Record, beside its data
 PLACES = ("weights", "download")  # options of LPIPS that say where its weights come from, not which they are
+ADDED = ("extra",)  # options of metrics that add scores and change none
 
 
 def protocol_settings(config: dict[str, Any]) -> dict[str, Any]:
@@ -30,7 +30,9 @@ def protocol_settings(config: dict[str, Any]) -> dict[str, Any]:
     while isinstance(loader.get("inner"), dict):  # of a data set that changes another one
         loader = loader["inner"]
     named = flat({"data": loader.get("options") or {}, "metrics": config.get("metrics") or {}})
-    return {name: value for name, value in named.items() if name.rsplit(".", 1)[-1] not in (*PLACES, "_target_")}
+    return {
+        name: value for name, value in named.items() if name.rsplit(".", 1)[-1] not in (*PLACES, *ADDED, "_target_")
+    }
 
 
 def protocol_of(config: dict[str, Any], version: int | str = VERSION) -> str:
@@ -41,16 +43,3 @@ def protocol_of(config: dict[str, Any], version: int | str = VERSION) -> str:
     """
     settings = json.dumps(protocol_settings(config), sort_keys=True)
     return f"{version}-{hashlib.sha256(settings.encode()).hexdigest()[:8]}"
-
-
-def protocols_apart(a: Record, b: Record) -> str:
-    """Say in what the protocols of two records differ; empty if they are one."""
-    if a.protocol == b.protocol:
-        return ""
-    mine, theirs = protocol_settings(a.config), protocol_settings(b.config)
-    names = sorted(name for name in {*mine, *theirs} if mine.get(name) != theirs.get(name))
-    changes = [f"{name}: {json.dumps(mine.get(name))}, {json.dumps(theirs.get(name))}" for name in names]
-    versions = [record.protocol.partition("-")[0] or "none" for record in (a, b)]
-    if versions[0] != versions[1]:
-        changes.append(f"number of the protocol: {versions[0]}, {versions[1]}")
-    return "; ".join(changes)

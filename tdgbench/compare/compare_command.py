@@ -10,25 +10,15 @@ import pandas as pd
 from rich.table import Table
 from rich.text import Text
 
+from tdgbench.compare import compared_cells as compared
 from tdgbench.compare.causes import KINDS, MACHINE, PROTOCOL, Cause, find_causes
-from tdgbench.compare.compared_cells import (
-    FIRST,
-    IDENTICAL,
-    MetricVerdicts,
-    Pairs,
-    comparison_grid,
-    difference_as_text,
-    find_pairs,
-    score_table,
-    verdicts_by_metric,
-)
+from tdgbench.compare.compared_cells import FIRST, IDENTICAL, Pairs
 from tdgbench.compare.comparison_page import write_page
 from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
 from tdgbench.scoring import METRICS
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
-from tdgbench.tables.measures import MEASURES
 from tdgbench.tables.results import Cell, read_results
 from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.terminal import console, errors_in_one_line, say
@@ -54,13 +44,13 @@ def main(arguments: list[str]) -> int:
 
 
 def _compare(a: Path, b: Path, out: Path | None) -> int:
-    pairs = find_pairs(_cells(a), _cells(b))
+    pairs = compared.find_pairs(_cells(a), _cells(b))
     if not len(pairs):
         raise ValueError(
             f"{a} and {b} share no finished cell: none has the same method, scene, initial points and seed"
         )
     causes, otherwise = find_causes(pairs), assumed_differences((pair.a.record, pair.b.record) for pair in pairs)
-    table = score_table(pairs, are_repeats=all(cause.kind == MACHINE for cause in causes))
+    table = compared.score_table(pairs, are_repeats=all(cause.kind == MACHINE for cause in causes))
     findings = [*assumed_in_words(otherwise), *findings_of(table, causes, pairs)]
     for one in otherwise[:MOST_CAUSES]:
         say(one_line(one.sentence), "assumed:", "bold")
@@ -105,15 +95,17 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     if (table.loc[table["metric"].isin(METRICS), "verdict"] == IDENTICAL).all():
         found.append(f"all scores of the {len(pairs)} cells that both have are identical")
     else:
-        found += [verdicts_in_words(one) for one in verdicts_by_metric(table, pairs)]
+        found += compared.verdicts(table, pairs)
         if (table.loc[table["verdict"] == UNDECIDED, "seeds"] == 1).any():
             found.append("one seed has no interval, so its scores are undecided: run both with seed=0,1,2")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
-        left_out = pairs.left_out(alone)
-        if left_out:
-            both = in_words(sorted({pair.a.record.seed for pair in pairs}))
-            found.append(f"means are over {both}, which both have; {name} has {in_words(left_out)} as well, which its "
-                         "tables average, too")  # fmt: skip
+        further = {record.seed for record in alone if compared.place_of(record) in pairs.by_place}
+        if further:
+            both, more = (
+                f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, sorted(seeds)))}"
+                for seeds in ({pair.a.record.seed for pair in pairs}, further)
+            )
+            found.append(f"means are over {both}, which both have; {name} has {more} as well, which its tables average")
     kinds = [kind for kind in KINDS if any(cause.kind == kind for cause in causes)]
     if PROTOCOL in kinds:
         found.append("the two do not follow one protocol, so their scores are not comparable: see what differs")
@@ -128,26 +120,9 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     return found
 
 
-def verdicts_in_words(found: MetricVerdicts) -> str:
-    """Return the sentence on a metric: verdicts, and B − A on average, with its interval if there is one."""
-    metric, difference = found.metric, found.difference
-    mean, low, high = (difference_as_text(metric, value) for value in difference)
-    text = f"{MEASURES[metric].label}: {found.verdicts}"
-    if found.verdicts == f"{found.places} {IDENTICAL}":
-        return text
-    text += f"; B − A {mean}{MEASURES[metric].suffix}{f' on average of {found.places}' if found.places > 1 else ''}"
-    if low == "n/a":
-        return f"{text}, by one seed, which shows no difference"
-    return f"{text}, 90 % interval {low} to {high}{', which contains zero' if difference.contains_zero else ''}"
-
-
-def in_words(seeds: Sequence[int]) -> str:
-    return f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
-
-
 def _show(table: pd.DataFrame, causes: Sequence[Cause], pairs: int) -> None:
     """Print the scores that tables print, and what differs."""
-    printed = comparison_grid(table[table["metric"].isin(FIRST)])
+    printed = compared.comparison_grid(table[table["metric"].isin(FIRST)])
     shown = Table(*printed.heads, *printed.columns)
     for row in printed.rows:
         shown.add_row(*(Text(one_line(head)) for head in row.heads), *(cell.text or cell.note for cell in row.cells))

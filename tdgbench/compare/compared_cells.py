@@ -1,9 +1,7 @@
-"""Cells that two experiments share, and the differences of their scores.
+"""Cells that two experiments share, and the differences of their scores: B − A, with intervals over the common seeds.
 
-A cell of A and one of B form a pair if they have the same method, data set, scene, initial points, variant and seed.
-Differences are B − A, and their intervals are over the seeds that both have. Where nothing but the run differs, the two
-cells of a pair are repeats of one training: their spread (of a GPU, whose sums have no fixed order) is not the
-spread over seeds.
+Where nothing but the run differs, the two cells of a pair are repeats of one training: their spread (of a GPU, whose
+sums have no fixed order) is not the spread over seeds.
 """
 
 from __future__ import annotations
@@ -40,8 +38,6 @@ place_of: Callable[[Record], Place] = attrgetter(*PLACE)
 
 
 class ComparedCell(NamedTuple):
-    """The same cell of two experiments."""
-
     a: Cell
     b: Cell
 
@@ -52,10 +48,6 @@ class Difference(NamedTuple):
     mean: float = nan
     low: float = nan
     high: float = nan
-
-    @property
-    def contains_zero(self) -> bool:
-        return self.low <= 0 <= self.high
 
 
 @dataclass(frozen=True)
@@ -71,10 +63,6 @@ class Pairs:
 
     def __len__(self) -> int:
         return sum(len(seeds) for seeds in self.by_place.values())
-
-    def left_out(self, alone: Iterable[Record]) -> list[int]:
-        """Return the seeds of cells that one experiment has alone, where the other one has further seeds."""
-        return sorted({record.seed for record in alone if place_of(record) in self.by_place})
 
 
 def find_pairs(a: Iterable[Cell], b: Iterable[Cell]) -> Pairs:
@@ -155,21 +143,12 @@ def comparison_grid(table: pd.DataFrame) -> Grid:
     for row in table.to_dict("records"):
         measure, place = MEASURES[row["metric"]], tuple(row[name] for name in PLACE)
         name = measure.label + (f", {measure.images}" if measure.images else "")
-        shown = {
-            **row,
-            "method": methods.label(row["method"]),
-            "scene": f"{row['scene']} {MARK}" if row[COLUMN] else row["scene"],
-        }
-        cells = (
-            GridCell(str(row["seeds"]), sort=row["seeds"], title=f"seeds {row['of_seeds']}"),
-            *_number_cells(row, numbers),
-            GridCell("", sort=row["verdict"], note=row["verdict"], verdict=row["verdict"]),
-        )
-        rows.append(
-            GridRow(
-                (*(shown[head] for head in heads), name), cells, (*place, row["metric"]), is_marked=bool(row[COLUMN])
-            )
-        )
+        scene = f"{row['scene']} {MARK}" if row[COLUMN] else row["scene"]
+        shown = {**row, "method": methods.label(row["method"]), "scene": scene}
+        verdict = GridCell("", sort=row["verdict"], note=row["verdict"], verdict=row["verdict"])
+        cells = (GridCell(row["of_seeds"], sort=row["seeds"]), *_number_cells(row, numbers), verdict)
+        names = (*(shown[head] for head in heads), name)
+        rows.append(GridRow(names, cells, (*place, row["metric"]), is_marked=bool(row[COLUMN])))
     notes = palette_notes(table.drop(columns="method"))
     return Grid([*heads, "score"], ["seeds", *(NUMBERS[name] for name in numbers), "verdict"], rows, notes)
 
@@ -191,28 +170,29 @@ def difference_as_text(metric: str, value: float, sign: str = "+") -> str:
     >>> difference_as_text("psnr", -6.0), difference_as_text("gaussians", 263.7, ""), difference_as_text("ssim", 1e-6)
     ('-6.00', '264', '+1.00e-06')
     """
-    if np.isnan(value):
-        return "n/a"
-    return as_text(
-        metric, value, form=f"{sign}.0f" if not MEASURES[metric].digits or abs(value) >= 100 else f"{sign}#.3g"
-    )
+    is_count = not MEASURES[metric].digits or abs(value) >= 100
+    return "n/a" if np.isnan(value) else as_text(metric, value, form=f"{sign}.0f" if is_count else f"{sign}#.3g")
 
 
-class MetricVerdicts(NamedTuple):
-    """Verdicts on a metric in words, and B − A on average over the places, by the seeds that all places have."""
-
-    metric: str
-    verdicts: str
-    places: int
-    difference: Difference
-
-
-def verdicts_by_metric(table: pd.DataFrame, pairs: Pairs) -> Iterator[MetricVerdicts]:
-    """Yield what the score table of pairs says of each metric with a margin."""
+def verdicts(table: pd.DataFrame, pairs: Pairs) -> list[str]:
+    """Return a sentence on each metric with a margin: verdicts of the score table of pairs, and B − A on average over
+    the places, by the seeds that all places have, with its interval if there is one.
+    """
+    sentences = []
     for metric, group in table[table["margin"].notna()].groupby("metric", sort=False):
         words = ", ".join(f"{number} {word}" for word, number in group["verdict"].value_counts().items())
-        by_place = [pairs.by_place[place] for place in group[PLACE].itertuples(index=False, name=None)]
-        common = sorted(set.intersection(*map(set, by_place)))
-        values = np.array([[_values(by_seed[seed], metric) for seed in common] for by_seed in by_place])
-        found = _difference(np.diff(values).mean(axis=(0, 2))) if common else Difference(group["difference"].mean())
-        yield MetricVerdicts(str(metric), words, len(group), found)
+        text, measure = f"{MEASURES[str(metric)].label}: {words}", MEASURES[str(metric)]
+        if (group["verdict"] != IDENTICAL).any():
+            by_place = [pairs.by_place[place] for place in group[PLACE].itertuples(index=False, name=None)]
+            common = sorted(set.intersection(*map(set, by_place)))
+            values = np.array([[_values(by_seed[seed], measure.name) for seed in common] for by_seed in by_place])
+            found = _difference(np.diff(values).mean(axis=(0, 2))) if common else Difference(group["difference"].mean())
+            mean, low, high = (difference_as_text(measure.name, value) for value in found)
+            text += f"; B − A {mean}{measure.suffix}{f' on average of {len(group)}' if len(group) > 1 else ''}"
+            if low == "n/a":
+                text += ", by one seed, which shows no difference"
+            else:
+                zero = ", which contains zero" if found.low <= 0 <= found.high else ""
+                text += f", 90 % interval {low} to {high}{zero}"
+        sentences.append(text)
+    return sentences

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pandas as pd
 
+from tdgbench.cells.folder import CellPictures
 from tdgbench.cells.record import Record
 from tdgbench.compare.causes import KINDS, Cause
 from tdgbench.compare.compared_cells import FIRST, ComparedCell, Pairs, comparison_grid
 from tdgbench.files import write_text
-from tdgbench.packs.write import without_paths
+from tdgbench.present.colour_scale import colour_scale
 from tdgbench.present.colours import colored, in_colour
 from tdgbench.present.html import embedded, environment
-from tdgbench.present.view_pictures import ERROR, ERROR_RANGE
+from tdgbench.present.view_pictures import ERROR, grayed
 from tdgbench.tables.assumptions import AssumedDifference, assumed_rows
-from tdgbench.terminal import printable
 
 MOST_PICTURES = 24  # of cells, so that a page stays some megabytes
 
@@ -34,9 +32,8 @@ def write_page(
 ) -> None:
     """Write the page. names: of A and B. table: from `score_table`. otherwise: what was assumed in another way."""
     shown = [(place, min(seeds.items())) for place, seeds in pairs.by_place.items()]
-    pages, is_first = environment("tdgbench.compare"), table["metric"].isin(FIRST)
-    pages.finalize = _public
-    html = pages.get_template("comparison_page.html.j2").render(
+    is_first = table["metric"].isin(FIRST)
+    html = environment("tdgbench.compare").get_template("comparison_page.html.j2").render(
         a=names[0], b=names[1], findings=findings,
         causes=[(kind, meaning, [cause.sentence(len(pairs)) for cause in causes if cause.kind == kind])
                 for kind, meaning in KINDS.items()],
@@ -46,13 +43,6 @@ def write_page(
                   for place, (seed, pair) in shown[:MOST_PICTURES]],
     )  # fmt: skip
     write_text(path, html)
-
-
-def _public(value: Any) -> Any:
-    """Return what a page prints: text without paths of a machine, and a picture as it is."""
-    if type(value) is not str or value.startswith("data:"):
-        return value
-    return printable(without_paths(value))
 
 
 def _assumed(pairs: Pairs) -> dict[str, list[tuple[str, str]]]:
@@ -65,21 +55,27 @@ def _assumed(pairs: Pairs) -> dict[str, list[tuple[str, str]]]:
 
 
 def picture(title: str, pair: ComparedCell) -> dict[str, object]:
-    """Return the pictures of the test view whose PSNR differs most between the two cells of a pair."""
+    """Return the pictures of the test view whose PSNR differs most between the two cells of a pair, on one scale."""
     view = ""
     try:
         view = _most_different(pair)
         a, b = (cell.pictures(view) for cell in pair)
         if a.render.shape != b.render.shape:
             raise ValueError(f"the renders have {a.render.shape[:2]} and {b.render.shape[:2]} pixels")
+        if pair.a.record.temperature_range != pair.b.record.temperature_range:
+            raise ValueError("their values span other temperatures, so that no scale of colours holds for both")
     except (OSError, ValueError) as error:
         return {"title": title, "view": view, "problem": str(error)}
-    difference = np.abs(a.render.astype(float) - b.render).mean(axis=2) / 255
-    images = {"a": a.render, "b": b.render, "truth": a.truth}
+    difference = CellPictures(a.render, b.render, a.valid).error
+    scale = colour_scale(a.truth, a.valid, pair.a.record.temperature_range, difference)
+    images = {
+        name: grayed(in_colour(pixels, scale.low, scale.high), a.valid)
+        for name, pixels in (("a", a.render), ("b", b.render), ("truth", a.truth))
+    }
     return {
-        "title": title, "view": view, "problem": "", "range": ERROR_RANGE,
-        **{name: embedded(in_colour(pixels)) for name, pixels in images.items()},
-        "difference": embedded(colored(difference, ERROR, 0, ERROR_RANGE)),
+        "title": title, "view": view, "problem": "", "scale": scale,
+        **{name: embedded(pixels) for name, pixels in images.items()},
+        "difference": embedded(colored(difference, ERROR, 0, scale.error)),
     }  # fmt: skip
 
 

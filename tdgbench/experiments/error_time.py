@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BaseModel, Field, PositiveFloat
 
+from tdgbench.bench.failures import error_message
 from tdgbench.bench.options import OptionError
 from tdgbench.bench.record_of_run import state_assumptions, state_values
 from tdgbench.bench.scores import score_views
@@ -22,7 +23,6 @@ from tdgbench.bench.setup import loader_of, set_up
 from tdgbench.bench.signature import Problem
 from tdgbench.cells.paths import prior_cache
 from tdgbench.cells.record import Record
-from tdgbench.experiments.error_message import error_message
 from tdgbench.experiments.experiment import Experiment, prepare_prior
 from tdgbench.experiments.matrix import write_tables
 from tdgbench.present.figures import plain, save_figure

@@ -1,4 +1,4 @@
-"""The contract of an experiment, and what all of them share.
+"""The contract of an experiment, what all of them share, and the Hydra callback that plans and concludes them.
 
 A new experiment is one class that `study._target_` of one file in `conf/experiment/` names.
 """
@@ -6,20 +6,31 @@ A new experiment is one class that `study._target_` of one file in `conf/experim
 from __future__ import annotations
 
 import re
+import sys
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
+from hydra.experimental.callback import Callback
 from hydra.utils import get_class, instantiate
 from omegaconf import DictConfig
 
-from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
+from tdgbench.bench.failures import error_message
+from tdgbench.bench.options import (
+    OptionError,
+    check_experiment_options,
+    check_options,
+    check_typed_names,
+    names_to_text,
+)
 from tdgbench.bench.signature import Problem
+from tdgbench.cells.plan import swept, swept_over_nothing
 from tdgbench.priors import prepare
 from tdgbench.signals import end_with_parent
-from tdgbench.terminal import guard_streams
+from tdgbench.terminal import guard_streams, say
 
 
 class Experiment(ABC):
@@ -105,3 +116,67 @@ def check_results_folder(folder: Path) -> None:
     except OSError as error:
         reason = f"{there} cannot be written to ({error.strerror}); choose another folder with results=DIR"
         raise OptionError([Problem("results", f"the results go to {folder}, but {reason}")]) from error
+
+
+class ExperimentCallback(Callback):
+    """Calls `start` and `end` of the configured experiment, for single runs and sweeps and with every launcher.
+
+    folder: of the experiment that this process has begun.
+    """
+
+    folder: ClassVar[Path | None] = None
+
+    def on_run_start(self, config: DictConfig, **kwargs: object) -> None:
+        with _status_1_on_error():
+            experiment = experiment_of(names_to_text(config))
+            experiment.check(config)
+            experiment.check_typed(config.hydra.overrides.task)
+            check_typed_names(config.hydra.overrides.task)
+            _check_sweep(config, experiment)
+            several = [option for option, values in swept(config).items() if option != "name" and len(values) != 1]
+            if experiment.one_job and several:
+                what = "has several values, whose results would replace one another: run each with its own name="
+                raise OptionError([Problem(option, what) for option in several])
+            folder = Path(config.results) / config.name
+            check_results_folder(folder)
+            ExperimentCallback.folder = folder
+            experiment.start(config)
+
+    on_multirun_start = on_run_start
+
+    def on_run_end(self, config: DictConfig, **kwargs: object) -> None:
+        _end(config, Path(config.hydra.run.dir))
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
+        _end(config, Path(config.hydra.sweep.dir))
+
+
+def _check_sweep(config: DictConfig, experiment: Experiment) -> None:
+    """Raise OptionError for a sweep over an empty list, or over an option that must have one value.
+
+    Cells that differ in such an option would stand in the tables as if their methods differed.
+    """
+    problems = [
+        Problem(option, "matches nothing; glob(...) takes names of methods, data sets and other files in conf/")
+        for option in swept_over_nothing(config)
+    ]
+    folders = set() if experiment.one_job else {"name", "results"}
+    for option in (folders | {"overwrite", "retry_failed", "checkpoint"}) & swept(config).keys():
+        problems.append(Problem(option, "has several values, and a sweep has one of it: run each by itself"))
+    if problems:
+        raise OptionError(problems)
+
+
+def _end(cfg: DictConfig, jobs: Path) -> None:
+    with _status_1_on_error():
+        experiment_of(names_to_text(cfg)).end(cfg, jobs)
+
+
+@contextmanager
+def _status_1_on_error() -> Iterator[None]:
+    """Errors end the run with status 1: Hydra would print a warning, go on, and end with 0."""
+    try:
+        yield
+    except Exception as error:
+        say(error_message(error, sys.argv[1:]), "error:", stderr=True)
+        raise SystemExit(1) from error

@@ -13,8 +13,7 @@ import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field, NonNegativeInt
 
-from tdgbench.bench.outcome import SUCCESS, Outcome, finished_records
-from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.progress import SUCCESS, CellProgress, Outcome, finished_records
 from tdgbench.bench.run_cell import run_cell
 from tdgbench.cells.record import Record
 from tdgbench.experiments.experiment import Experiment

@@ -30,15 +30,19 @@ def checklist(experiment: Path) -> list[Item]:
     records = [cell.record for cell in finished]
     planned = max(read_plan(experiment).cells_with_data, len(cells))  # some may be of an earlier plan
     unfinished, protocols = planned - len(finished), sorted({record.protocol for record in records})
+
+    def of(lacks: Callable[[CellFolder], bool]) -> str:
+        return _first([cell.record.title for cell in finished if lacks(cell)])
+
     return [
         Item("every planned cell is finished", f"{unfinished} of {planned} cells" if unfinished else ""),
         Item(f"{FEWEST_SEEDS} seeds of each cell", _first(_cells_of_few_seeds(records))),
-        Item("all test views are there", _of(finished, _lacks_renders)),
-        Item("the files are those of the records", _of(finished, lambda cell: any(cell.file_problems(others=False)))),
+        Item("all test views are there", of(_lacks_renders)),
+        Item("the files are those of the records", of(lambda cell: any(cell.file_problems(others=False)))),
         Item("one protocol", ", ".join(protocols) if len(protocols) != 1 else ""),
-        Item("machine and packages are stated", _of(finished, _states_no_machine)),
-        Item("a commit without changes made it", _of(finished, _states_no_commit)),
-        Item("a log of each training", _of(finished, lambda cell: not (cell.folder / LOG_FILE).exists())),
+        Item("machine and packages are stated", of(_states_no_machine)),
+        Item("a commit without changes made it", of(_states_no_commit)),
+        Item("a log of each training", of(lambda cell: not (cell.folder / LOG_FILE).exists())),
     ]
 
 
@@ -64,10 +68,6 @@ def _states_no_commit(cell: CellFolder) -> bool:
     return not git or git["dirty"]
 
 
-def _of(cells: list[CellFolder], lacks: Callable[[CellFolder], bool]) -> str:
-    """Return the first cell that lacks something, and how many more there are."""
-    return _first([cell.record.title for cell in cells if lacks(cell)])
-
-
 def _first(titles: list[str]) -> str:
+    """Return the first cell that lacks something, and how many more there are."""
     return f"{titles[0]}{f', and {len(titles) - 1} more' if titles[1:] else ''}" if titles else ""

@@ -11,23 +11,13 @@ from tempfile import TemporaryDirectory
 
 from tdgbench.archives import Member, opened_zip
 from tdgbench.files import in_mb, whole_folder
-from tdgbench.packs.manifest import (
-    MANIFEST_FILE,
-    MOST_MANIFEST,
-    Manifest,
-    check_amount,
-    most_bytes,
-    read_manifest,
-    sha256,
-)  # fmt: skip
+from tdgbench.packs import manifest
+from tdgbench.packs.manifest import MANIFEST_FILE, MOST_MANIFEST, Manifest
 
 
 @contextmanager
 def opened_pack(path: Path) -> Iterator[Path]:
-    """Yield the results folder of a pack, in a temporary folder; a folder is yielded as it is.
-
-    Raises ValueError, naming the file, for what is no pack or was changed.
-    """
+    """Yield the results folder of a pack, in a temporary folder; a folder is yielded as it is. Raises as `unpack`."""
     if not path.is_file():
         yield path
         return
@@ -64,7 +54,6 @@ def unpack(path: Path, folder: Path) -> tuple[Manifest, str]:
 
 
 def _extract(path: Path, folder: Path) -> tuple[Manifest, str]:
-    """Unpack a pack into an empty folder; return its manifest and its hash. Raises as `unpack`."""
     try:
         with opened_zip(path) as members:
             return _extract_members(members, folder)
@@ -76,17 +65,17 @@ def _extract(path: Path, folder: Path) -> tuple[Manifest, str]:
 
 def _extract_members(members: dict[str, Member], folder: Path) -> tuple[Manifest, str]:
     """Unpack the members of a pack: what they state is checked before any of them is read."""
-    check_amount(members)
+    manifest.check_amount(members)
     stated = members.pop(MANIFEST_FILE, None)
     if stated is None or stated.size > MOST_MANIFEST:
         raise ValueError(f"it has no {MANIFEST_FILE} of at most {in_mb(MOST_MANIFEST)}")
     text = b"".join(stated.chunks())
-    content = read_manifest(text)
+    content = manifest.read_manifest(text)
     for name in sorted(set(members) ^ set(content.files)):
         raise ValueError(f"{name} is {'not in the manifest' if name in members else 'missing'}")
     for name, expected in content.files.items():
-        if expected.size > most_bytes(name):
-            raise ValueError(f"{name} has {in_mb(expected.size)}, more than {in_mb(most_bytes(name))}")
+        if expected.size > (most := manifest.most_bytes(name)):
+            raise ValueError(f"{name} has {in_mb(expected.size)}, more than {in_mb(most)}")
         if expected.size != members[name].size:
             raise ValueError(f"{name} is not what the manifest states")
     free = shutil.disk_usage(folder).free
@@ -101,4 +90,4 @@ def _extract_members(members: dict[str, Member], folder: Path) -> tuple[Manifest
                 digest.update(chunk)
         if digest.hexdigest() != expected.sha256:
             raise ValueError(f"{name} is not what the manifest states")
-    return content, sha256(text)
+    return content, manifest.sha256(text)

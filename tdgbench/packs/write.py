@@ -10,7 +10,7 @@ import shlex
 import shutil
 import zipfile
 from collections.abc import Iterable
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from tdgbench import __version__
@@ -20,25 +20,14 @@ from tdgbench.cells.paths import RECORD_FILE, folder_name
 from tdgbench.cells.plan import PLAN_FILE
 from tdgbench.cells.record import no_records, record_files
 from tdgbench.files import content_of, opened, whole_file
-from tdgbench.packs.manifest import (
-    MANIFEST_FILE,
-    NAME,
-    SHOWN,
-    Manifest,
-    PackedFile,
-    check_amount,
-    check_place,
-    most_bytes,
-    sha256,
-)  # fmt: skip
+from tdgbench.packs import manifest
+from tdgbench.packs.manifest import MANIFEST_FILE, PackedFile
 from tdgbench.scenes import SceneError
-from tdgbench.text import as_typed
+from tdgbench.text import absolute_paths, as_typed
 
 EPOCH = (1980, 1, 1, 0, 0, 0)  # of every file: the first time that a zip file can state
 TEXTS = (".json", ".csv")
 COMPRESSED = (*TEXTS, ".ply", ".pt")  # PNG is
-# What in a text tells whose machine it was made on. (Records state neither user nor host.)
-PATHS = re.compile(r"""(?<![\w/.:%-])(?:/|~/|[A-Za-z]:\\\\?)(?:[\w.+ -]+[/\\]+)+[\w.+-]+""")
 
 
 def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -> tuple[Path, str]:
@@ -54,11 +43,11 @@ def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -
     if not keep_paths:
         _check_no_private_paths([file for name, file in paths.items() if name.endswith(TEXTS)], experiment)
     files = {name: _described(file, experiment) for name, file in paths.items()}
-    check_amount(files)
-    plain = experiment_name if re.fullmatch(NAME, experiment_name) else folder_name(experiment_name)
-    text = Manifest(plain, __version__, files).to_json()
-    name = sha256(text)
-    path = path or experiment.resolve().parent / f"{experiment_name}-{name[:SHOWN]}.zip"
+    manifest.check_amount(files)
+    plain = experiment_name if re.fullmatch(manifest.NAME, experiment_name) else folder_name(experiment_name)
+    text = manifest.Manifest(plain, __version__, files).to_json()
+    name = manifest.sha256(text)
+    path = path or experiment.resolve().parent / f"{experiment_name}-{name[: manifest.SHOWN]}.zip"
     with whole_file(path) as part, zipfile.ZipFile(part, "w") as archive:
         archive.writestr(_info(MANIFEST_FILE), text)
         for entry, file in paths.items():
@@ -71,7 +60,7 @@ def _check_no_private_paths(files: Iterable[Path], experiment: Path) -> None:
     """Raise ValueError for a text that holds an absolute path."""
     for file in files:
         text = _text(file)
-        for found in private_paths(text.decode(errors="replace")):
+        for found in absolute_paths(text.decode(errors="replace")):
             cure = "run the cell again with relative paths (data.root=data)"
             if file.name == RECORD_FILE:
                 metrics = (json.loads(text).get("config") or {}).get("metrics") or {}
@@ -82,7 +71,7 @@ def _check_no_private_paths(files: Iterable[Path], experiment: Path) -> None:
 
 def _rescored(experiment: Path, metrics: dict[str, Any]) -> str:
     """Return how to have the same scores with a relative path of LPIPS's weights. metrics: options in a record."""
-    weights = without_paths(metrics["lpips"]["weights"])
+    weights = PureWindowsPath(metrics["lpips"]["weights"]).name
     options = {n: v for n, v in flat(metrics).items() if n.rpartition(".")[2] not in ("_target_", "weights_sha256")}
     words = [f"metrics.{name}={as_typed(value)}" for name, value in {**options, "lpips.weights": weights}.items()]
     command = ["tdgbench", "score", str(experiment), f"{experiment}-shared", *words]
@@ -105,24 +94,6 @@ def _info(entry: str, size: int = 0) -> zipfile.ZipInfo:
     return info
 
 
-def private_paths(text: str) -> list[str]:
-    """Return the absolute paths in a text, each once.
-
-    >>> private_paths('{"weights": "/home/ada/vgg.npz", "shape": "3/4", "url": "https://a.org/b/c"}')
-    ['/home/ada/vgg.npz']
-    """
-    return list(dict.fromkeys(PATHS.findall(text)))
-
-
-def without_paths(text: str) -> str:
-    """Return a text in which an absolute path is the name of its file.
-
-    >>> without_paths("/home/ada/a b/views.csv: no such file")
-    'views.csv: no such file'
-    """
-    return PATHS.sub(lambda found: re.split(r"[/\\]", found.group())[-1], text)
-
-
 def _paths(experiment: Path) -> dict[str, Path]:
     """Return the files of a pack, by relative path. Raises ValueError without records."""
     records = record_files(experiment)
@@ -135,8 +106,8 @@ def _paths(experiment: Path) -> dict[str, Path]:
     for path in sorted(paths):
         name = path.relative_to(experiment).as_posix()
         try:
-            check_place(name)
-            opened(path, most_bytes(name), inside=experiment).close()
+            manifest.check_place(name)
+            opened(path, manifest.most_bytes(name), inside=experiment).close()
         except (ValueError, SceneError) as error:
             raise ValueError(f"{path} cannot be packed: {error}") from error
         found[name] = path
@@ -150,7 +121,7 @@ def _content(path: Path, experiment: Path) -> io.BytesIO | io.BufferedReader:
 
 def _text(path: Path) -> bytes:
     """Read a text; a record is without the traceback of a failure."""
-    stored = content_of(path, most_bytes(path.name))
+    stored = content_of(path, manifest.most_bytes(path.name))
     if path.name != RECORD_FILE:
         return stored
     try:

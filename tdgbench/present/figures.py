@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from tdgbench.files import whole_file
@@ -38,3 +40,12 @@ def save_figure(figure: Figure, target: Path) -> None:
     """Write a figure as PNG."""
     with whole_file(target) as part, any_font():
         figure.savefig(part, dpi=DPI)
+
+
+def as_svg(figure: Figure) -> str:
+    """Return a figure as SVG whose black is the page's ink, so that it can be read on light and dark pages."""
+    buffer = io.StringIO()
+    with any_font(), mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "tdgbench"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
+    text = buffer.getvalue()
+    return text[text.index("<svg") :].replace("#000000", "currentColor")

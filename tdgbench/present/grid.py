@@ -12,8 +12,8 @@ class GridCell(NamedTuple):
     """One number of a grid.
 
     text: with the standard deviation, if it has one; mean: without. value, std: NaN for n/a. sort: number or text to
-    sort by, empty for n/a. title: what a pointer shows. note: ours − published, with its verdict. published: the
-    published number and its verdict, in words.
+    sort by, empty for n/a. title: why it is n/a, or behind its verdict. note: ours − published, with its verdict.
+    published: the published number and its verdict, in words. interval: 95 %, over seeds and views, in words.
     """
 
     text: str = "n/a"
@@ -26,6 +26,7 @@ class GridCell(NamedTuple):
     verdict: str = ""
     published: str = ""
     std: float = math.nan
+    interval: str = ""
 
 
 class GridRow(NamedTuple):

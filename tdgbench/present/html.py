@@ -14,6 +14,7 @@ from tdgbench.terminal import printable
 from tdgbench.text import without_folders
 
 MOST_COLOURS = 256  # of a palette
+STEPS = (1, 2, 3, 4, 6, 8)  # one of so many pixels is shown: the first with which a page has at most its size
 
 
 def environment(package: str) -> Environment:
@@ -27,8 +28,14 @@ def environment(package: str) -> Environment:
     return found
 
 
-def embedded(pixels: np.ndarray) -> str:
-    """Return a picture (H, W, 1, 3 or 4) uint8 as a data URI, with a palette where it has few colours."""
+def embedded(pixels: np.ndarray, step: int = 1) -> str:
+    """Return `png` as a data URI."""
+    return "data:image/png;base64," + base64.b64encode(png(pixels, step)).decode()
+
+
+def png(pixels: np.ndarray, step: int = 1) -> bytes:
+    """Return every `step`-th pixel of a picture (H, W, 1, 3 or 4) uint8 as a PNG file; few colours are a palette."""
+    pixels = pixels[::step, ::step]
     picture = Image.fromarray(pixels.astype(np.uint8).squeeze(-1) if pixels.shape[2] == 1 else pixels.astype(np.uint8))
     options: dict[str, Any] = {}
     if picture.mode in ("RGB", "RGBA"):
@@ -41,7 +48,7 @@ def embedded(pixels: np.ndarray) -> str:
             picture.putpalette(four[:, :3].tobytes())
     buffer = io.BytesIO()
     picture.save(buffer, "PNG", optimize=True, **options)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return buffer.getvalue()
 
 
 def filter_tables(colours: np.ndarray) -> list[str]:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.cells.folder import RENDERS, CellFolder, CellPictures
-from tdgbench.present.colour_scale import ERROR_RANGE as ERROR_RANGE
 from tdgbench.present.colour_scale import ColourScale, colour_scale
 from tdgbench.present.colours import UNKNOWN, colored, expected_depth, in_colour
 from tdgbench.scenes.modalities import THERMAL

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tdgbench.present.figures import any_font, plain
+from tdgbench.present.figures import as_svg, plain
 from tdgbench.report.run_facts import cell_title
 from tdgbench.tables import methods
 from tdgbench.tables.long_table import method_label
@@ -102,10 +100,5 @@ def _panel(title: str, below: str) -> tuple[Figure, Axes]:
 
 
 def _as_svg(figure: Figure, axes: Axes) -> str:
-    """Return a figure as SVG whose black is the page's ink, so that it can be read on light and dark pages."""
     axes.legend(fontsize=7, framealpha=0, labelcolor="black")
-    buffer = io.StringIO()
-    with any_font(), mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "tdgbench"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True)
-    text = buffer.getvalue()
-    return text[text.index("<svg") :].replace("#000000", "currentColor")
+    return as_svg(figure)

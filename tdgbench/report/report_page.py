@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,24 +12,26 @@ import pandas as pd
 
 from tdgbench.cells.record import Record
 from tdgbench.files import write_text
-from tdgbench.present.html import environment
+from tdgbench.present.html import STEPS, embedded, environment
 from tdgbench.present.strip import place_name
 from tdgbench.report.panels import line_colours
-from tdgbench.report.run_facts import cell_title, cells_in_words, named, run_facts
+from tdgbench.report.run_facts import cell_title, run_facts
 from tdgbench.report.scene_section import scene_section
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
-from tdgbench.tables.grids import further_grid
+from tdgbench.tables.grids import further_grid, reasons_for_na
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import COLUMNS, EXTRA, MEASURES, PUBLISHED, digits
+from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, PUBLISHED, digits
 from tdgbench.tables.palette import palette_notes
 from tdgbench.tables.readings import changes_as_text
 from tdgbench.tables.results import Cell, Results
 from tdgbench.tables.verdicts import comparable, load_margins, verdicts_in_words
+from tdgbench.text import named
 
 FILE = "report.html"
+MOST_BYTES = 2_000_000
 
 
 def write_report(tables: Tables) -> Path:
@@ -39,24 +42,33 @@ def write_report(tables: Tables) -> Path:
     scenes: dict[tuple[str, str, str], list[Cell]] = {}
     for cell in cells:
         scenes.setdefault((cell.record.dataset, cell.record.scene, cell.record.split), []).append(cell)
-    html = environment("tdgbench.report").get_template("report_page.html.j2").render(
-        name=results.folder.resolve().name,
-        findings=tables.findings,
-        facts=run_facts(results.plan, [cell.record for cell in cells]),
-        doubts=doubts_of(records),
-        table=tables.grid,
-        reasons=[] if tables.is_ablation else reasons_for_na(main, COLUMNS),
-        further=None if tables.is_ablation else further_grid(main),
-        further_reasons=[] if tables.is_ablation else reasons_for_na(main, EXTRA),
-        legend=legend(tables),
-        published=published_section(tables),
-        changes=None if tables.effects is None else changes_as_text(tables.effects),
-        changes_notes=[] if tables.effects is None else palette_notes(tables.effects),
-        scenes=[scene_section(place[0], place_name(place, scenes), group, colours) for place, group in scenes.items()],
-        skips=skipped_work([cell.record for cell in cells]),
-        failures=[(cell_title(r), r.failure.phase, r.failure.error) for r in records if r.failure is not None],
-        problems=results.problems,
-    )  # fmt: skip
+    content = {
+        "name": results.folder.resolve().name,
+        "findings": tables.findings,
+        "facts": run_facts(results.plan, [cell.record for cell in cells]),
+        "doubts": doubts_of(records),
+        "table": tables.grid,
+        "reasons": reasons_for_na(main, ABLATION if tables.is_ablation else COLUMNS),
+        "further": None if tables.is_ablation else further_grid(main),
+        "further_reasons": [] if tables.is_ablation else reasons_for_na(main, EXTRA),
+        "legend": legend(tables),
+        "published": published_section(tables),
+        "behind": [[*row.heads, title, cell.title] for row in tables.grid.rows
+                for title, cell in zip(tables.grid.columns, row.cells, strict=True) if cell.note],
+        "changes": None if tables.effects is None else changes_as_text(tables.effects),
+        "changes_notes": [] if tables.effects is None else palette_notes(tables.effects),
+        "scenes": [scene_section(place[0], place_name(place, scenes), group, colours)
+                   for place, group in scenes.items()],
+        "skips": skipped_work([cell.record for cell in cells]),
+        "failures": [(cell_title(r), r.failure.phase, r.failure.error) for r in records if r.failure is not None],
+        "problems": results.problems,
+    }  # fmt: skip
+    for step in STEPS:
+        pages = environment("tdgbench.report")
+        pages.filters["embedded"] = partial(embedded, step=step)
+        html = pages.get_template("report_page.html.j2").render(**content, step=step)
+        if len(html.encode()) <= MOST_BYTES:
+            break
     path = results.folder / FILE
     write_text(path, html)
     return path
@@ -81,26 +93,11 @@ def skipped_work(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
             key = skip["name"], skip["saved"] if skip["taken"] else "nothing", skip["reason"]
             said.setdefault(key, []).append(record)
     order = list(dict.fromkeys(name for name, *_ in said))
-    rows = [(*key, "all cells" if len(group) == len(records) else cells_in_words(group)) for key, group in said.items()]
+    rows = [
+        (*key, "all cells" if len(group) == len(records) else named(map(cell_title, group)))
+        for key, group in said.items()
+    ]
     return sorted(rows, key=lambda row: (order.index(row[0]), row[1] == "nothing"))
-
-
-def reasons_for_na(main: pd.DataFrame, metrics: Sequence[str]) -> list[str]:
-    """Return why numbers of a main table are n/a: scores, the rows that lack them, and the reason, once each."""
-    shown = main[main["metric"].isin(metrics)]
-    known = set(shown.loc[shown["value"].notna(), "metric"]) | set(COLUMNS)
-    missing = shown[shown["value"].isna() & shown["metric"].isin(known)]
-    rows_of = shown.groupby(["method", "metric"]).size()
-    found: dict[tuple[str, str], list[str]] = {}
-    for (metric, reason), group in missing.groupby(["metric", "reason"], sort=False):
-        who: list[str] = []
-        for method, rows in group.groupby("method", sort=False):
-            name = methods.label(str(method))
-            is_whole = len(rows) == rows_of[method, metric]
-            who += [name] if is_whole else [f"{name} on {LABELS.get(scene, scene)}" for scene in rows["scene"]]
-        names = "all rows" if len(group) == rows_of[:, metric].sum() else named(who)
-        found.setdefault((names, str(reason)), []).append(MEASURES[str(metric)].title.rstrip(" ↑↓"))
-    return [f"n/a: {'; '.join(titles)} ({names}): {reason}" for (names, reason), titles in found.items()]
 
 
 def legend(tables: Tables) -> list[dict[str, str]]:

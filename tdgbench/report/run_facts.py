@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import READ_PHASE, Record
 from tdgbench.tables import methods
 from tdgbench.tables.latex import LABELS
+from tdgbench.tables.likeness import version
 from tdgbench.tables.long_table import SPLITS, method_label, planned_iterations
-from tdgbench.text import MOST_NAMED
+from tdgbench.text import named
 
 Fact = Callable[[Record], str]
 SOURCES = {  # of depth priors, in words
@@ -47,22 +48,6 @@ def said(fact: Fact, records: Sequence[Record]) -> list[str]:
         if sum(map(len, names)) == len({one for group in names for one in group}):  # no name says two things
             break
     return [f"{text} ({named(group)})" for text, group in zip(groups, names, strict=True)]
-
-
-def cells_in_words(records: Sequence[Record]) -> str:
-    """Return methods and scenes of cells, and seeds where a few of one are meant."""
-    return named(dict.fromkeys(cell_title(record) for record in records))
-
-
-def named(names: Iterable[str]) -> str:
-    """Return the first few names in their order, and how many more there are.
-
-    >>> named("abcdefg")
-    'a, b, c, d, e and 2 more'
-    """
-    listed = list(dict.fromkeys(names))
-    more = len(listed) - MOST_NAMED
-    return ", ".join(listed[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _method(record: Record) -> str:
@@ -123,12 +108,6 @@ def _machine(record: Record) -> str:
     return f"{computer}, {threads}; {device}; backend {record.backend or 'n/a'}"
 
 
-def _version(record: Record) -> str:
-    git, packages = _part(record, "git"), _part(record, "packages")
-    commit = f"commit {str(git['commit'])[:12]}" if git.get("commit") else "not from a checkout"
-    return f"tdgbench {packages.get('tdgbench', NOT_STATED)}, {commit}{' with changes' * bool(git.get('dirty'))}"
-
-
 def _software(record: Record) -> str:
     packages = [f"{name} {version}" for name, version in _part(record, "packages").items() if version]
     e = record.environment
@@ -172,7 +151,7 @@ FACTS: dict[str, Fact] = {
     "depth prior": _prior,
     "LPIPS network": _lpips,
     "protocol": lambda record: f"{record.protocol or 'n/a'}, metrics as {record.convention or 'n/a'}",
-    "version": _version,
+    "version": lambda record: f"tdgbench {version(record)}",
     "machine": _machine,
     "software": _software,
 }

@@ -13,7 +13,7 @@ from tdgbench.cells.folder import RENDERS, CellPictures
 from tdgbench.cells.ground_truth import masked_in_words
 from tdgbench.present.colour_scale import ColourScale
 from tdgbench.present.colours import GUESSED, LEVELS, THERMAL, UNKNOWN, colored, colours_of_levels
-from tdgbench.present.html import embedded, filter_tables
+from tdgbench.present.html import filter_tables
 from tdgbench.present.view_pictures import DEPTH, ERROR, middle_view, rendered_depth, scale_of
 from tdgbench.report.panels import curve_panels, error_panel, line_colours
 from tdgbench.report.run_facts import cell_title
@@ -116,7 +116,7 @@ def error_counts(views: Iterable[CellPictures]) -> np.ndarray:
 
 
 def _group(shown: Sequence[ShownCell], colours: Mapping[str, str]) -> dict[str, Any]:
-    """Return the pictures of methods with one ground truth, on one scale, as data URIs; empty where they are n/a."""
+    """Return the pictures of methods with one ground truth, on one scale, (H, W, C) uint8; None where they are n/a."""
     truth, _, valid = shown[0].pictures
     span = shown[0].cell.record.temperature_range
     scale = scale_of([(one.pictures, span) for one in shown])
@@ -125,11 +125,11 @@ def _group(shown: Sequence[ShownCell], colours: Mapping[str, str]) -> dict[str, 
     known = np.concatenate(depths) if depths else np.empty(0)
     near, far = np.quantile(known, [0.01, 0.99]) if len(known) else (0.0, 1.0)
     return {
-        "truth": embedded(truth),
-        "mask": "" if valid is None else embedded(np.dstack([np.full((*valid.shape, 3), UNKNOWN), 255 * ~valid])),
+        "truth": truth,
+        "mask": None if valid is None else np.dstack([np.full((*valid.shape, 3), UNKNOWN), 255 * ~valid]),
         "scale": scale,
         "tables": _tables(scale, truth.shape[2] == 1),
-        "ramp": embedded(np.arange(LEVELS, dtype=np.uint8)[None].repeat(8, 0)[..., None]) if scale.ends else "",
+        "ramp": np.arange(LEVELS, dtype=np.uint8)[None].repeat(8, 0)[..., None] if scale.ends else None,
         "size": f"{truth.shape[1]}×{truth.shape[0]} px",
         "depth_range": f"{near:.3g} to {far:.3g}" if len(known) else "n/a",
         "methods": [_pictures(one, near, far) for one in shown],
@@ -150,16 +150,14 @@ def _tables(scale: ColourScale, is_gray: bool) -> dict[str, list[str]]:
 
 
 def _pictures(one: ShownCell, near: float, far: float) -> dict[str, Any]:
-    guesses = barely = ""
-    if one.determinacy is not None:
-        blue = np.broadcast_to(np.array(GUESSED, np.uint8), (*one.determinacy.shape, 3))
-        guesses = embedded(np.dstack([blue, (255 * (1 - one.determinacy) + 0.5).astype(np.uint8)]))
-        barely = f"{is_barely_seen(one.determinacy).mean():.0%}".replace("%", " %")
+    known, guesses = one.determinacy, None
+    if known is not None:
+        guesses = np.dstack([np.full((*known.shape, 3), GUESSED), (255 * (1 - known) + 0.5).astype(np.uint8)])
     return {
         "label": one.label,
         "psnr": MEASURES["psnr"].as_text(one.psnr),
-        "render": embedded(one.pictures.render),
-        "depth": "" if one.depth is None else embedded(colored(one.depth, DEPTH, near, far)),
+        "render": one.pictures.render,
+        "depth": None if one.depth is None else colored(one.depth, DEPTH, near, far),
         "guesses": guesses,
-        "barely_seen": barely or "n/a",
+        "barely_seen": "n/a" if known is None else f"{100 * is_barely_seen(known).mean():.0f} %",
     }

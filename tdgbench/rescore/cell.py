@@ -25,7 +25,7 @@ from tdgbench.cells.protocol import VERSION, protocol_of
 from tdgbench.cells.record import Record, readable_record
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Scene
-from tdgbench.scoring import METRICS, TRAIN_METRICS, Scorer, Scores, mean_scores
+from tdgbench.scoring import METRICS, Scorer, Scores, mean_scores
 from tdgbench.scoring.metric import ImageMetric, Metric
 
 NO_MODEL = "the cell has no model to render again"
@@ -54,17 +54,17 @@ def score_cell(cell: CellFolder, target: Path, scorer: Scorer, metrics: dict[str
     new = replace(record, config=config, convention=metrics["convention"], protocol=protocol_of(config))
     new.key = cell_key(new)
     earlier = _earlier_scores(cell, target, new)
-    todo = [metric for name, metric in METRICS.items() if name not in earlier.metrics]
+    todo = [metric for name, metric in scorer.metrics.items() if name not in earlier.metrics]
     start = time.perf_counter()
     rows = _rows(cell, scorer, earlier, todo)
     new.scores, new.train_scores = mean_scores(rows), dict(record.train_scores)
     there = earlier.cell.record
     if earlier.cell is not cell and (new.scores, config) == (there.scores, there.config):
         return []
-    kept = {name: why for name, why in there.missing.items() if name in earlier.metrics or name not in METRICS}
+    kept = {name: why for name, why in there.missing.items() if name in earlier.metrics or name not in scorer.metrics}
     new.missing = {**kept, **{name: why for name, why in scorer.missing.items() if new.scores[name] is None}}
-    for name, metric in TRAIN_METRICS.items():
-        if not _is_same(metric, record, new):
+    for name, metric in scorer.train_metrics.items():
+        if name not in record.train_scores or not _is_same(metric, record, new):
             new.train_scores[name], new.missing[f"train_{name}"] = None, NO_RENDERS
     new.seconds = {**record.seconds, "score": round(time.perf_counter() - start, 3)}
     if new.protocol != record.protocol:
@@ -74,7 +74,10 @@ def score_cell(cell: CellFolder, target: Path, scorer: Scorer, metrics: dict[str
 
 
 def _earlier_scores(cell: CellFolder, target: Path, new: Record) -> EarlierScores:
-    """Return the values that can be taken over: those of an earlier scoring in `target`, else those of the cell."""
+    """Return the values that can be taken over: those of an earlier scoring in `target`, else those of the cell.
+
+    Those of the user's metrics cannot: their code may have changed.
+    """
     there, source = readable_record(target), cell
     if there is not None and there.failure is None:
         if {**there.hashes, VIEWS_FILE: ""} != {**cell.record.hashes, VIEWS_FILE: ""}:
@@ -102,7 +105,7 @@ def _is_same(metric: Metric, old: Record, new: Record) -> bool:
 
 
 def _rows(cell: CellFolder, scorer: Scorer, earlier: EarlierScores, todo: list[Metric]) -> dict[str, Scores]:
-    """Return the scores of each test view, in the order of METRICS."""
+    """Return the scores of each test view, in the order of the scorer's metrics."""
     views, scene, scorer.missing = list(cell.test_cameras), cell.scene(), {}
     by_pictures = [metric for metric in todo if isinstance(metric, ImageMetric)]
     by_model = [metric for metric in todo if not isinstance(metric, ImageMetric)]
@@ -112,7 +115,7 @@ def _rows(cell: CellFolder, scorer: Scorer, earlier: EarlierScores, todo: list[M
     if by_model:
         found.append(_scores_by_model(cell, scene, scorer, by_model))
     rows = {view: ChainMap(*(scores[view] for scores in found)) for view in views}
-    return {view: {metric: row[metric] for metric in METRICS} for view, row in rows.items()}
+    return {view: {metric: row[metric] for metric in scorer.metrics} for view, row in rows.items()}
 
 
 def _scores_by_model(cell: CellFolder, scene: Scene, scorer: Scorer, metrics: list[Metric]) -> dict[str, Scores]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,22 +12,22 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from tdgbench.bench.failures import message
-from tdgbench.bench.lock import cell_lock
+from tdgbench.bench.failures import error_message, message
 from tdgbench.bench.options import check_options
+from tdgbench.bench.run_cell import cell_lock
 from tdgbench.cells.folder import CellFolder, read_cells
 from tdgbench.cells.key import as_json, relevant_metrics
-from tdgbench.cells.known_classes import add_trust_arguments, trust
+from tdgbench.cells.known_classes import add_trust_arguments, extra_of, trust, trust_also
 from tdgbench.cells.metric_settings import metric_settings, scorer_of
 from tdgbench.cells.paths import cell_folder_of
 from tdgbench.cells.plan import read_plan
-from tdgbench.experiments.error_message import error_message
 from tdgbench.experiments.sweep.finish import write_all
 from tdgbench.files import whole_folder
 from tdgbench.packs import opened_pack
 from tdgbench.rescore.cell import score_cell
 from tdgbench.resources import conf_folder
 from tdgbench.scoring import Scorer
+from tdgbench.tables.measures import entries_of
 from tdgbench.tables.show import show_findings
 from tdgbench.terminal import errors_in_one_line, say
 from tdgbench.text import one_line
@@ -48,7 +49,7 @@ def main(arguments: list[str]) -> int:
     given = parser.parse_intermixed_args(arguments)
     trust(given.config_dir, given.trust)
     with opened_pack(given.experiment) as experiment:
-        failed = score_experiment(experiment, given.out, given.options)
+        failed = score_experiment(experiment, given.out, given.options, given.config_dir)
     show_findings(write_all(given.out))
     say("not compared: the ground truth is what the cells hold; tdgbench verify compares it", "data:")
     return int(failed)
@@ -61,19 +62,21 @@ class Chosen(NamedTuple):
     download: bool = True
 
 
-def score_experiment(experiment: Path, out: Path, words: list[str]) -> bool:
+def score_experiment(experiment: Path, out: Path, words: list[str], config_dirs: Sequence[Path] = ()) -> bool:
     """Score the cells of an experiment into another one; return whether one of them could not be scored.
 
     Raises ValueError for a folder without finished cells, and for words that are no options of `metrics`.
     """
-    chosen = read_options(words) if words else None
+    chosen = read_options(words, config_dirs) if words else None
     cells = read_cells(experiment)
     if not any(cell.record.failure is None for cell in cells):
         raise ValueError(f"{experiment} holds no finished cell")
     if out.resolve() == experiment.resolve():
         raise ValueError(f"{out} holds the first scores, which are kept; name another folder")
     scorers: dict[str, Scorer] = {}  # each loads LPIPS's network once for all cells
-    read_plan(experiment).write(out)
+    plan = read_plan(experiment)
+    plan.own_metrics |= entries_of(extra_of(chosen.metrics)) if chosen else {}
+    plan.write(out)
     failed = False
     for cell in cells:
         record = cell.record
@@ -101,22 +104,27 @@ def _score(cell: CellFolder, target: Path, chosen: Chosen | None, scorers: dict[
     metrics, download = chosen or Chosen(record.setting("metrics"))
     settings = metric_settings(metrics)
     own = settings["lpips"]["weights"] if chosen else None  # one that a record names is not opened
-    scorer = scorer_of(settings, download, None if own is None else Path(own))
+    scorer = scorer_of(settings, download, None if own is None else Path(own), extra_of(metrics))
     scorer = scorers.setdefault(json.dumps(metrics, sort_keys=True), scorer)
     computed = score_cell(cell, target, scorer, metrics)
     return f"{', '.join(computed)} computed" if computed else "already there"
 
 
-def read_options(words: list[str]) -> Chosen:
-    """Return the options of `metrics` that a training has with these words. Raises ValueError for other options."""
+def read_options(words: list[str], config_dirs: Sequence[Path] = ()) -> Chosen:
+    """Return the options of `metrics` that a training has with these words; metrics that they name are trusted.
+
+    Raises ValueError for other options.
+    """
     for word in words:
         if not word.startswith(("metrics=", "metrics.")):
             raise ValueError(f"{word} decides what is read or trained, which takes a training; only metrics=CHOICE and "
                              "metrics.OPTION=VALUE can be chosen here")  # fmt: skip
     try:
         with initialize_config_dir(str(conf_folder()), version_base="1.3"):
-            cfg = compose("config", overrides=words)
+            searched = ",".join(f"'file://{folder.absolute()}'" for folder in config_dirs)
+            cfg = compose("config", overrides=[*words, f"hydra.searchpath=[{searched}]"])
     except HydraException as error:
         raise ValueError(error_message(error, words)) from error
+    trust_also(as_json(OmegaConf.to_container(cfg.metrics)).get("extra") or [])
     check_options(cfg)
     return Chosen(relevant_metrics(as_json(OmegaConf.to_container(cfg.metrics))), cfg.metrics.lpips.download)

@@ -52,18 +52,21 @@ class Dataset(Protocol):
 
 
 @runtime_checkable
-class Outlines(Protocol):
+class Outlines(Dataset, Protocol):
     """A data set that can tell a scene without decoding its images, so that a finished cell is checked faster.
 
-    It may be a base class, which gives `load`.
+    It may be a base class, which gives `missing` and `load`.
     """
+
+    def missing(self, names: list[str]) -> list[str]:
+        there = self.names()
+        return [name for name in names if name not in there]
 
     def outline(self, name: str | None) -> Outline:
         """Return the scene that `load` reads. Raises MissingScenesError or SceneError."""
         raise NotImplementedError
 
     def load(self, name: str | None) -> Scene:
-        """Read a scene. Raises MissingScenesError or SceneError."""
         return self.outline(name).read()
 
 
@@ -165,10 +168,6 @@ class FolderDataset(Outlines):
             return []
         return [p.name for p in listed(root) if not is_hidden(p.name) and self._can_be_scene(p)]
 
-    def missing(self, names: list[str]) -> list[str]:
-        there = self.names()
-        return [name for name in names if name not in there]
-
     def explain_missing(self, names: list[str]) -> str:
         if not is_there(self._root()):
             return f"{', '.join(names)} not found: {self._root()} does not exist; set data.root=DIR"
@@ -204,7 +203,6 @@ class FolderDataset(Outlines):
         return outline_scene(folder, description, self.options, self.layout)
 
     def _root(self) -> Path:
-        """Return the scene, or the folder of scenes."""
         if self.layout is not None and is_folder(utf8_name(self.root) / self.layout.title):
             return self.root / self.layout.title
         return utf8_name(self.root)

@@ -1,17 +1,12 @@
-"""Find pixels of temperature arrays that were never measured, but hold an ordinary number.
+"""Find pixels of temperature arrays that were never measured, but hold an ordinary number, as a warp leaves them.
 
-An array that was warped into another camera has one constant value outside the thermal camera's field: 0, the scene's
-minimum, or another number. A measured region is never exactly constant, but arrays made from 8-bit images or by
-simulation may be, and a scene may really have 0 °C. So a value is a filler only if
-
-- in one view or more it fills a connected region that touches the border and has at least SMALLEST of the view; and
-- either the regions lie in the same place of the image in SAME_PLACE of the views (the field of a thermal camera does,
-  objects do not), or the value is 0, which warping functions fill with by default, and all other temperatures of the
-  scene are above it or all are below it.
+A measured region is never exactly constant, but arrays made from 8-bit images or by simulation may be, and a scene may
+really have 0 °C. So a value is a filler only if it fills a connected region that touches the border and has SMALLEST of
+a view or more, and either the regions lie in the same place in SAME_PLACE of the views (the field of a thermal camera
+does, objects do not), or the value is 0, the default of warping functions, and outside the range of all others.
 
 Pixels of that value that are connected to the border are masked in every view; where the value is outside the range of
-all other temperatures, so are those inside, such as holes of a warp. A masked region grows by one pixel, since warping
-mixes the filler into the pixels at its edge. NaN, infinities and temperatures that cannot be are masked anyway.
+all others, so are those inside. A masked region grows by one pixel, since warping mixes the filler into its edge.
 """
 
 from __future__ import annotations

@@ -11,14 +11,11 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.formats import MOST_COUNTS, SUFFIXES, Decoded, agreed_scale, decode, raw_counts
+from tdgbench.scenes.formats import MOST_COUNTS, Decoded, agreed_scale, decode, raw_counts
 from tdgbench.scenes.temperature import TEMPERATURES, Radiometry
 
 if TYPE_CHECKING:
     from tdgbench.scenes.scene import View
-
-__all__ = ["SUFFIXES", "in_pseudo_colour", "is_gray", "nearest_valid", "read_image", "resize", "unit_image",
-           "with_channels"]  # fmt: skip
 
 
 def read_image(path: Path) -> np.ndarray:

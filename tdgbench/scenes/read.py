@@ -24,11 +24,11 @@ from tdgbench.scenes.options import Description, ReadOptions, split_names
 from tdgbench.scenes.registry import sensor_of
 from tdgbench.scenes.scene import Scene, View
 from tdgbench.scenes.thermal import ThermalRequest, thermal_images
-from tdgbench.scenes.view_images import ImageSource, Mask, ThermalImages, native_camera, resample
+from tdgbench.scenes.view_images import ImageSource, ThermalImages, native_camera, resample
 from tdgbench.text import first_few
 
 RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
-DEPTH, TRUE = "depth", "temperature"  # folders of true depth and true temperatures
+DEPTH, TRUE = "depth", "temperature"  # folders of true depth and true temperatures, of synthetic scenes
 
 
 @dataclass(frozen=True)
@@ -57,33 +57,27 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
     thermal = _radiometric_files(folder, scene_files) if options.thermal == "radiometric" else scene_files.thermal
     names, notes = _paired(folder, scene_files.posed, thermal)
     train, test, left_out = _split(folder, names, options.split, scene_files.shipped)
-    names = sorted([*train, *test])
-    masks, rgb = scene_files.masks, scene_files.rgb
-    sources, photos, views = {}, {}, {}
+    names, masks, rgb = sorted([*train, *test]), scene_files.masks, scene_files.rgb
+    sources, photos, views, truth = {}, {}, {}, list[Path]()
     for name in names:
         found, posed = _header(thermal[name], options.thermal == "shown"), scene_files.posed[name]
         camera = _camera(posed, found, options)
         source = sources[name] = ImageSource(thermal[name], posed, camera.width, camera.height, masks.get(name), found)
         if name in rgb:
             photos[name] = replace(source, path=rgb[name], mask=None, header=_header(rgb[name], as_picture=True))
-        views[name] = _make_view(folder, source, camera, photos.get(name))
-    truth = [path for name in names for path in (_truth(folder, DEPTH, name), _truth(folder, TRUE, name)) if path]
+        known = {kind: folder / kind / f"{name}.npy" for kind in (DEPTH, TRUE)}
+        known = {kind: regular_file(path) for kind, path in known.items() if is_there(path)}
+        truth += known.values()
+        views[name] = _make_view(source, camera, photos.get(name), known)
+    if useless := sorted(masks.keys() - {*names}):
+        left_out.append(f"{len(useless)} masks belong to no view and are not used: {first_few(useless)}")
     hiding = [mask.path for mask in masks.values()]
     files = [*thermal.values(), *rgb.values(), *hiding, *scene_files.files, *truth]
     scene = Scene(
-        name=description.scene,
-        dataset=description.dataset,
-        group=description.group,
-        train=[views[n] for n in train],
-        test=[views[n] for n in test],
-        points=scene_files.points,
-        temperature=None,
-        split=options.split,
-        fingerprint=_fingerprint(folder, files),
-        channels=0,
-        notes=[*scene_files.notes, *notes, *left_out, *_about_masks(masks, names)],
-        folder=folder,
-        model=scene_files.model,
+        description.scene, description.dataset, description.group,
+        train=[views[n] for n in train], test=[views[n] for n in test], points=scene_files.points, temperature=None,
+        split=options.split, fingerprint=_fingerprint(folder, files), channels=0,
+        notes=[*scene_files.notes, *notes, *left_out], folder=folder, model=scene_files.model,
         assumed={
             **({"layout": f"{layout.title}: {layout.looks}"} if detected else {}),
             **sensor_of(description.dataset, description.scene),
@@ -151,18 +145,13 @@ def _split(
     folder: Path, names: list[str], how: str, shipped: Mapping[str, str]
 ) -> tuple[list[str], list[str], list[str]]:
     """Return names of training and of test views, and notes. As shipped, views that are in neither part are omitted."""
-    notes = []
-    if how == "folder" and shipped:
-        unplaced = [name for name in names if name not in shipped]
-        names = [name for name in names if name in shipped]
-        if unplaced:
-            notes.append(
-                f"{len(unplaced)} views are in no part of the shipped split and are omitted: {first_few(unplaced)}"
-            )
+    unplaced = [name for name in names if name not in shipped] if how == "folder" and shipped else []
+    said = f"{len(unplaced)} views are in no part of the shipped split and are omitted: {first_few(unplaced)}"
     try:
-        return *split_names(names, how, shipped), notes
+        train, test = split_names([name for name in names if name not in {*unplaced}], how, shipped)
     except ValueError as error:
         raise SceneError(f"{folder}: {error}") from error
+    return train, test, [said] if unplaced else []
 
 
 def _header(path: Path, as_picture: bool) -> Header | None:
@@ -190,7 +179,9 @@ def _about_images(
     sources: Mapping[str, ImageSource], photos: Mapping[str, ImageSource], options: ReadOptions
 ) -> dict[str, str]:
     """Return which pixels files have, what they are resampled to and by what, and what they state in vain."""
-    native, cameras = _sizes(sources), _listed({source.posed.source_size for source in sources.values()})
+    headers, of_photos = ([one.header for one in some.values() if one.header] for some in (sources, photos))
+    native = _listed({(one.width, one.height) for one in headers})
+    cameras = _listed({source.posed.source_size for source in sources.values()})
     used = _listed({(source.width, source.height) for source in sources.values()})
     by = "area average to shrink, bilinear to grow"
     size = f"{native} px, as the files have"
@@ -198,19 +189,13 @@ def _about_images(
         size += f"; cameras are of {cameras} px, and their intrinsics follow the images"
     if options.width is not None:
         size += f"; resized to {used} px (data.width): {by}"
-    known = [one.header for one in sources.values() if one.header is not None]
-    said = {"size": size, "depth": first_few(sorted({f"{one.depth} {one.format}" for one in known}))}
-    if photos and _sizes(photos) != used:
-        said["rgb"] = f"{_sizes(photos)} px, resampled to {used} px: {by}"
-    for name, images in (("pixels", sources), ("rgb_pixels", photos)):
-        headers = (one.header for one in images.values() if one.header is not None)
-        if stated := dict.fromkeys(line for one in headers for line in one.assumed):
+    said = {"size": size, "depth": first_few(sorted({f"{one.depth} {one.format}" for one in headers}))}
+    if photos and _listed({(one.width, one.height) for one in of_photos}) != used:
+        said["rgb"] = f"{_listed({(one.width, one.height) for one in of_photos})} px, resampled to {used} px: {by}"
+    for name, some in (("pixels", headers), ("rgb_pixels", of_photos)):
+        if stated := dict.fromkeys(line for one in some for line in one.assumed):
             said[name] = "; ".join(stated)
     return said
-
-
-def _sizes(images: Mapping[str, ImageSource]) -> str:
-    return _listed({(one.header.width, one.header.height) for one in images.values() if one.header is not None})
 
 
 def _listed(sizes: set[tuple[int, int]]) -> str:
@@ -223,25 +208,15 @@ def _about_lenses(sources: Iterable[ImageSource]) -> dict[str, str]:
     return {"lens": f"{', '.join(sorted(lenses))}: distortion removed, bilinear"} if lenses else {}
 
 
-def _make_view(folder: Path, source: ImageSource, camera: Camera, photo: ImageSource | None) -> View:
+def _make_view(source: ImageSource, camera: Camera, photo: ImageSource | None, truth: Mapping[str, Path]) -> View:
     """Return a view without its thermal image and mask."""
-    name = source.posed.name
-    depth, degC = (_truth(folder, kind, name) for kind in (DEPTH, TRUE))
+    depth, degC = truth.get(DEPTH), truth.get(TRUE)
     return View(
-        name=name,
-        camera=camera,
-        load_thermal=partial(_refuse, name),
-        load_rgb=None if photo is None else partial(_load_rgb, photo),
-        thermal_path=source.path,
+        source.posed.name, camera, partial(_refuse, source.posed.name),
+        load_rgb=None if photo is None else partial(_load_rgb, photo), thermal_path=source.path,
         load_true_depth=None if depth is None else partial(_read_map, depth, "depth map", camera),
         load_true_temperature=None if degC is None else partial(_read_map, degC, "map of temperatures", camera),
-    )
-
-
-def _truth(folder: Path, kind: str, name: str) -> Path | None:
-    """Return the file of what is known of a view of a synthetic scene, or None."""
-    path = folder / kind / f"{name}.npy"
-    return regular_file(path) if is_there(path) else None
+    )  # fmt: skip
 
 
 def _read_map(path: Path, what: str, camera: Camera) -> np.ndarray:
@@ -263,22 +238,14 @@ def _refuse(name: str) -> np.ndarray:
 
 
 def _load_rgb(source: ImageSource) -> np.ndarray:
-    """Return RGB image of a view as float32 (height, width, 3)."""
     image, _ = resample(read_image(source.path), None, source)
     return np.ascontiguousarray(with_channels(image, 3), np.float32)
-
-
-def _about_masks(masks: Mapping[str, Mask], names: list[str]) -> list[str]:
-    """Return a note on masks that hide nothing."""
-    unknown = sorted(set(masks) - set(names))
-    return [f"{len(unknown)} masks belong to no view and are not used: {first_few(unknown)}"] if unknown else []
 
 
 def _fingerprint(folder: Path, files: Iterable[Path]) -> str:
     """Return the hash of the paths and contents of the files, each of which is read once."""
     digest = hashlib.sha256()
     for path in sorted(set(files)):
-        content = hash_of(path)
-        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
-        digest.update(content)
+        content = hash_of(path)  # whose errors name the file
+        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode() + content)
     return digest.hexdigest()[:16]

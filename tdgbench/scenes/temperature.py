@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -89,20 +88,6 @@ def finite_number(value: object) -> float:
     if not math.isfinite(number) or isinstance(value, bool):
         raise ValueError(f"{shortened(repr(value), 60)} is no finite number")
     return number
-
-
-def robust_range(samples: Iterable[np.ndarray], steps: int = 100) -> TemperatureRange:
-    """Return the range between PERCENTILES of values (N,), °C or counts, widened to multiples of 1 / steps.
-
-    Raises ValueError if all values are equal.
-
-    >>> robust_range([np.linspace(10, 20, 1001), np.full(1, 900.0)])
-    TemperatureRange(min=10.01, max=20.0)
-    """
-    low, high = map(float, np.percentile(np.concatenate(list(samples)), PERCENTILES, method="nearest"))
-    if low == high:
-        raise ValueError(f"nearly all are {low:g}")
-    return check_range(math.floor(steps * low) / steps, math.ceil(steps * high) / steps)
 
 
 def sampled(values: np.ndarray, views: int) -> np.ndarray:

@@ -5,6 +5,7 @@ Pixels that were not measured are masked (`fillers`); the others are scaled so t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,13 +19,12 @@ from tdgbench.scenes.fillers import Fillers, find_apart, find_fillers, given_fil
 from tdgbench.scenes.formats import NO_SCALE, decode, header, one_channel, raw_counts, read_celsius
 from tdgbench.scenes.options import ReadOptions
 from tdgbench.scenes.scene import TemperatureRange
-from tdgbench.scenes.temperature import PERCENTILES, CountScale, Radiometry, check_range, robust_range, sampled
+from tdgbench.scenes.temperature import PERCENTILES, CountScale, Radiometry, check_range, sampled
 from tdgbench.scenes.view_images import (
     UNMEASURED,
     ImageSource,
     MaskedImage,
     ThermalImages,
-    decide_channels,
     hidden_by,
     in_channels,
     resample,
@@ -36,19 +36,15 @@ LIKE_KELVIN = (233.0, 343.0)  # -40 to 70 °C: a whole scene so hot is none that
 
 
 class Unit(NamedTuple):
-    """The unit of a scene's thermal values.
-
-    what: is measured. means: in words. steps: the range is rounded to 1 / steps. digits: of the range in words. remedy:
-    for values without a range. dtype: in which values are scaled to [0, 1].
-    """
+    """The unit of a scene's thermal values."""
 
     name: str
-    what: str
-    means: str
-    steps: int
-    digits: int
-    remedy: str
-    dtype: type[np.floating] = np.float32
+    what: str  # is measured
+    means: str  # in words
+    steps: int  # the range is rounded to 1 / steps
+    digits: int  # of the range in words
+    remedy: str  # for values without a range
+    dtype: type[np.floating] = np.float32  # in which values are scaled to [0, 1]
 
 
 CELSIUS = Unit("°C", "temperatures", "°C", 100, 2, "set data.temperature=[min,max] in °C")
@@ -57,17 +53,12 @@ COUNTS = Unit("counts", "raw counts", "raw counts, of unknown °C", 1, 0, "expor
 
 
 class Temperatures(NamedTuple):
-    """Temperatures of a view in °C, or raw counts, as a file has them.
+    """Temperatures of a view in °C, or raw counts, as a file has them."""
 
-    values: (H, W) float32, not finite where nothing was measured. is_masked: whether its fillers are known and not
-    finite; else they are searched for. block: side of the blocks (px) in which a filler spoils its neighbours.
-    ends: whether the values end at the range of an image, so that measured ones may be equal to the lowest.
-    """
-
-    values: np.ndarray
-    is_masked: bool = False
-    block: int = 1
-    ends: bool = False
+    values: np.ndarray  # (H, W) float32, not finite where nothing was measured
+    is_masked: bool = False  # whether its fillers are known and not finite; else they are searched for
+    block: int = 1  # px, side of the blocks in which a filler spoils its neighbours
+    ends: bool = False  # whether values end at the range of an image, so that measured ones may equal the lowest
 
 
 Reader = Callable[[Path], Temperatures]
@@ -138,7 +129,6 @@ def _kinds(sources: Mapping[str, ImageSource]) -> dict[str, list[str]]:
 
 
 def read_counts(path: Path) -> Temperatures:
-    """Read an image of raw counts, of 16 bits or more."""
     decoded = decode(path, as_picture=True)
     values = raw_counts(one_channel(decoded, path), path).astype(np.float32)
     if decoded.valid is not None:
@@ -153,7 +143,7 @@ def read_temperatures(path: Path, scale: CountScale = NO_SCALE) -> Temperatures:
 
 def measured_images(request: ThermalRequest, read: Reader, unit: Unit = CELSIUS) -> ThermalImages:
     """Read images of one channel, or of three equal ones. Raises SceneError."""
-    channels = decide_channels(request.options.channels, are_gray=True)
+    channels = 1 if request.options.channels == "auto" else request.options.channels
     measured, notes = _measured(request, read, unit)
     given = None if request.radiometry is None else request.radiometry.range
     span = given or _range_of([measured[name] for name in request.train], unit, request.folder)
@@ -206,11 +196,13 @@ def _find_fillers(views: Mapping[str, Temperatures], known: set[str], unit: Unit
 
 
 def _range_of(measured: list[MaskedImage], unit: Unit, folder: Path) -> TemperatureRange:
-    try:
-        return robust_range((sampled(_valid_values(one), len(measured)).copy() for one in measured), unit.steps)
-    except ValueError as error:
-        what = f"the {unit.what} of the training views give no range ({error} {unit.name})"
-        raise SceneError(f"{folder}: {what}; {unit.remedy}") from error
+    """Return the range between PERCENTILES of the values, widened to multiples of 1 / steps. Raises SceneError."""
+    samples = [sampled(_valid_values(one), len(measured)).copy() for one in measured]
+    low, high = map(float, np.percentile(np.concatenate(samples), PERCENTILES, method="nearest"))
+    if low == high:
+        what = f"the {unit.what} of the training views give no range (nearly all are {low:g} {unit.name})"
+        raise SceneError(f"{folder}: {what}; {unit.remedy}")
+    return TemperatureRange(math.floor(unit.steps * low) / unit.steps, math.ceil(unit.steps * high) / unit.steps)
 
 
 def _valid_values(measured: MaskedImage) -> np.ndarray:

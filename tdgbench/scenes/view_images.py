@@ -66,19 +66,12 @@ def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | No
     """Read images as their files show them. wanted: number of channels, 1, 3 or `auto`. Raises SceneError."""
     images = {name: _read_shown(source, radiometry) for name, source in sources.items()}
     are_gray = all(view.image.shape[2] == 1 for view in images.values())
-    channels = decide_channels(wanted, are_gray)
+    channels = (1 if are_gray else 3) if wanted == "auto" else int(wanted)
     images = {name: in_channels(view, channels) for name, view in images.items()}
     span = None if radiometry is None else radiometry.range
     known = "of unknown °C" if span is None else f"0 and 1 are {span.min:.4g} and {span.max:.4g} °C"
     assumed = {"values": f"gray, {known}" if are_gray else PALETTE}
     return ThermalImages(images, channels, span, assumed=assumed)
-
-
-def decide_channels(wanted: int | str, are_gray: bool) -> int:
-    """Return the number of channels of a scene's images. Raises SceneError for another wish than 1, 3 or `auto`."""
-    if wanted not in ("auto", 1, 3):
-        raise SceneError(f"data.channels is {wanted!r}; it must be auto, 1 or 3")
-    return (1 if are_gray else 3) if wanted == "auto" else int(wanted)
 
 
 def in_channels(view: MaskedImage, channels: int) -> MaskedImage:

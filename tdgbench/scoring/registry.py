@@ -1,9 +1,10 @@
-"""The metrics: every `Metric` that a module of `metrics/` defines, for every modality that it scores."""
+"""The metrics: every `Metric` that a module of `metrics/` defines, and those of the user that `metrics.extra` names."""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Iterable, Mapping
 
 from tdgbench.scenes.modalities import OTHERS
 from tdgbench.scoring import metrics
@@ -25,12 +26,56 @@ def find_metrics() -> dict[str, Metric]:
         if not defined:
             raise TypeError(f"{metrics.__name__}.{module.name} defines no metric")
         found += defined
+    return _by_name(_of_all_modalities(found))
+
+
+def extra_metrics(names: Iterable[str]) -> list[Metric]:
+    """Import the metrics of the user by their names, MODULE.NAME; those `of_every_modality` for each of them.
+
+    Raises ValueError, with the reason, for a name that cannot be imported or is no metric, and for metrics that have
+    the name of another one or ask to be a column of the main table.
+    """
+    found = _of_all_modalities([_imported(name) for name in names])
+    for i, metric in enumerate(found):
+        if metric.name in {*METRICS, *(other.name for other in found[:i])}:
+            raise ValueError(f"there is another metric {metric.name}; give yours another name")
+        if metric.in_main_table or metric.beside:
+            raise ValueError(
+                f"{metric.name} may not be a column of the main table (in_main_table, beside), which is that of the "
+                "published scores; tdgbench tables DIR --columns shows it"
+            )
+    return found
+
+
+def with_extra(names: Iterable[str]) -> dict[str, Metric]:
+    """Return METRICS and those of `extra_metrics` by name, by `order`."""
+    return _by_name([*METRICS.values(), *extra_metrics(names)])
+
+
+def on_training_views(among: Mapping[str, Metric]) -> dict[str, ImageMetric]:
+    """Return the metrics that score training views, too."""
+    return {n: metric for n, metric in among.items() if isinstance(metric, ImageMetric) and metric.on_training_views}
+
+
+def _imported(name: str) -> Metric:
+    module, _, variable = name.rpartition(".")
+    try:
+        found = getattr(importlib.import_module(module), variable)
+    except Exception as error:  # a module of the user may raise anything
+        raise ValueError(f"{name} cannot be imported ({type(error).__name__}: {error})") from error
+    if not isinstance(found, Metric):
+        raise ValueError(f"{name} is no ImageMetric and no ViewMetric of tdgbench.scoring.metric")
+    return found
+
+
+def _of_all_modalities(found: list[Metric]) -> list[Metric]:
     several = [metric for metric in found if isinstance(metric, ImageMetric) and metric.of_every_modality]
-    found += [metric.of_modality(modality) for metric in several for modality in OTHERS]
+    return found + [metric.of_modality(modality) for metric in several for modality in OTHERS]
+
+
+def _by_name(found: list[Metric]) -> dict[str, Metric]:
     return {metric.name: metric for metric in sorted(found, key=lambda metric: (metric.order, metric.name))}
 
 
 METRICS = find_metrics()
-TRAIN_METRICS = {
-    name: metric for name, metric in METRICS.items() if isinstance(metric, ImageMetric) and metric.on_training_views
-}
+TRAIN_METRICS = on_training_views(METRICS)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +17,7 @@ from tdgbench.scenes import Scene, View
 from tdgbench.scoring.backbones import BackboneUnavailableError, Net
 from tdgbench.scoring.lpips import LPIPS, Range
 from tdgbench.scoring.metric import Metric
-from tdgbench.scoring.registry import METRICS, TRAIN_METRICS
+from tdgbench.scoring.registry import METRICS, extra_metrics, on_training_views, with_extra
 from tdgbench.scoring.scored_view import (
     Border,
     Convention,
@@ -43,6 +42,11 @@ def _existing(file: str) -> str:
     return file
 
 
+def _usable(extra: list[str]) -> list[str]:
+    extra_metrics(extra)
+    return extra
+
+
 @dataclass(frozen=True)
 class LPIPSOptions:
     """The LPIPS network and the source of its backbone (weights: a pth or npz file; None: torch's cache)."""
@@ -55,38 +59,45 @@ class LPIPSOptions:
 class Scorer:
     """Scores 8-bit renders against 8-bit targets, as published tables do.
 
-    ssim_border and lpips_range make the convention: `3dgs` (zero, unit) or `standard` (valid, signed). Threads score a
-    view each; the scores do not depend on their number.
+    ssim_border and lpips_range make the convention: `3dgs` (zero, unit) or `standard` (valid, signed). extra: metrics
+    of the user, MODULE.NAME. Threads score a view each; the scores do not depend on their number.
     """
 
     def __init__(
-        self, convention: ConventionName, ssim_border: Border, lpips_range: Range, lpips: LPIPSOptions
+        self,
+        convention: ConventionName,
+        ssim_border: Border,
+        lpips_range: Range,
+        lpips: LPIPSOptions,
+        extra: Annotated[list[str], AfterValidator(_usable)] | None = None,
     ) -> None:
         self.convention: str = convention
         self.settings = Convention(ssim_border, self.lpips)
         self.lpips_range: Range = lpips_range
         self.lpips_options = lpips
+        self.metrics = with_extra(extra or ())
+        self.train_metrics = on_training_views(self.metrics)
         self.no_lpips = ""  # why no backbone may be read, if so
         self.missing: dict[str, str] = {}  # metric → why it is n/a
 
     def score(
-        self, scene: Scene, renders: Mapping[str, RenderedImages], metrics: Sequence[Metric] = tuple(METRICS.values())
+        self, scene: Scene, renders: Mapping[str, RenderedImages], metrics: Sequence[Metric] | None = None
     ) -> dict[str, Scores]:
-        """Return the metrics of each test view by name; None where one does not apply (the reason is in `missing`)."""
+        """Return metrics, by default all, of each test view; None where one does not apply (`missing` says why)."""
         common: dict[str, Any] = {}
 
         def shown(view: View) -> ScoredView:
             return ScoredView(view, renders[view.name], self.settings, scene, renders, common)
 
-        return self._scores(scene.test, shown, metrics)
+        return self._scores(scene.test, shown, list(self.metrics.values()) if metrics is None else metrics)
 
     def score_train(self, views: Sequence[View], renders: Mapping[str, RenderedImages]) -> dict[str, Scores]:
-        """Return the metrics of TRAIN_METRICS of training views by name, to detect overfitting."""
+        """Return the metrics that score training views, by view and name, to detect overfitting."""
 
         def shown(view: View) -> ScoredView:
             return ScoredView(view, renders[view.name], self.settings)
 
-        return self._scores(views, shown, list(TRAIN_METRICS.values()))
+        return self._scores(views, shown, list(self.train_metrics.values()))
 
     def _scores(
         self, views: Sequence[View], shown: Callable[[View], ScoredView], metrics: Sequence[Metric]
@@ -129,14 +140,14 @@ def _scored(shown: ScoredView, metrics: Iterable[Metric]) -> tuple[Scores, dict[
     return scores, missing
 
 
-def mean_scores(views: Mapping[str, Scores], metrics: Iterable[str] = METRICS) -> Scores:
-    """Return the mean over the views of each metric; None where any view lacks it.
+def mean_scores(views: Mapping[str, Scores], metrics: Iterable[str] | None = None) -> Scores:
+    """Return the mean over the views of each metric, by default those of the first view; None where any view lacks it.
 
-    >>> mean_scores({"a": {"psnr": 20.0, "lpips": 0.1}, "b": {"psnr": 30.0, "lpips": None}}, ["psnr", "lpips"])
+    >>> mean_scores({"a": {"psnr": 20.0, "lpips": 0.1}, "b": {"psnr": 30.0, "lpips": None}})
     {'psnr': 25.0, 'lpips': None}
     """
     means: Scores = {}
-    for metric in metrics:
+    for metric in next(iter(views.values()), METRICS) if metrics is None else metrics:
         values = [scores.get(metric) for scores in views.values()]
         present = [v for v in values if v is not None]
         means[metric] = float(np.mean(present)) if values and len(present) == len(values) else None
@@ -151,16 +162,10 @@ def map_views(function: Callable[[T], R], views: Sequence[T], pixels: int) -> li
     """
     in_memory = max(1, PIXELS_AT_ONCE // max(1, pixels))
     workers = max(1, min(in_memory, pool.get_threads(), len(views)))
-    with one_torch_thread(), ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as executor:
-        return list(executor.map(function, views))
-
-
-@contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """Return a context in which torch computes on the calling thread alone."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        yield
+        with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(1,)) as executor:
+            return list(executor.map(function, views))
     finally:
         torch.set_num_threads(before)

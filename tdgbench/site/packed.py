@@ -16,7 +16,7 @@ from typing import Any
 from tdgbench.cells.folder import hashes_of_content
 from tdgbench.cells.paths import folder_name
 from tdgbench.cells.plan import Plan, read_plan
-from tdgbench.cells.protocol import MEASURED_ON, protocol_settings
+from tdgbench.cells.protocol import protocol_settings
 from tdgbench.cells.record import Record
 from tdgbench.packs import manifest, unpacked
 from tdgbench.packs.checklist import Item, checklist
@@ -31,7 +31,9 @@ from tdgbench.tables.palette import image_values
 from tdgbench.tables.results import Cell
 
 AVERAGES = (AVERAGE, OVERALL)
-HEADS = [MEASURES[name].title for name in COLUMNS]
+ERROR = "mae_degC"
+SCORES = tuple(one for name in COLUMNS for one in ((name, ERROR) if name == "psnr" else (name,)))  # of rows and cells
+HEADS = [MEASURES[name].title for name in SCORES]
 
 
 @dataclass(frozen=True)
@@ -68,9 +70,9 @@ class Pack:
 class BoardRow:
     """A row of a leaderboard: a method's column on one scene, or on average over those of a pack.
 
-    settings: of its protocol. scores: of each of COLUMNS. truths: numbers of `truth_groups`, of its cells. ranks: best
-    and worst one among its rivals of all packs, see `ranked`; None for the reason in `unranked`. twin: another pack
-    with the same cells.
+    settings: of its protocol. scores: of each of SCORES. setups: what its cells have to share with those of a rival, as
+    text. ranks: best and worst one among its rivals of all packs, see `ranked`; None for the reason in `unranked`.
+    twin: another pack with the same cells.
     """
 
     pack: Pack
@@ -82,7 +84,7 @@ class BoardRow:
     column: str  # the method with its points and overrides
     cells: list[Cell]
     scores: tuple[GridCell, ...]
-    truths: frozenset[int] = frozenset()
+    setups: frozenset[str] = frozenset()
     ranks: tuple[int, int] | None = None
     unranked: str = "no other row to compare with"
     twin: str = ""
@@ -140,12 +142,6 @@ class BoardRow:
     def machines(self) -> set[tuple[str, ...]]:
         """The hardware that its times are of."""
         return {cell.machine for cell in self.cells}
-
-    @property
-    def measured_on(self) -> set[str]:
-        """What the scores of its cells were measured on, as text."""
-        fields = [[r.scene, r.data.split("-")[0], *(getattr(r, name) for name in MEASURED_ON)] for r in self.records]
-        return {json.dumps([*values, sorted(self.truths)], sort_keys=True) for values in fields}
 
     def by_seed(self, metric: str) -> dict[int, float]:
         """Return a number of each seed that all scenes have, on average over them."""
@@ -205,10 +201,10 @@ def _read(path: Path, folder: Path, content: Manifest, sha256: str) -> Pack:
     return Pack(path.name, path.stat().st_size, sha256, content, plan, items, build_tables(folder))
 
 
-def rows_of(pack: Pack, truths: Mapping[Path, int]) -> list[BoardRow]:
+def rows_of(pack: Pack, setups: Mapping[Path, str]) -> list[BoardRow]:
     """Return the rows of a pack: scenes that a method's column has a finished cell of, and averages over several.
 
-    truths: `truth_groups` of the cells of all packs.
+    setups: of the cells of all packs, by folder.
     """
     protocols, heads = pack.tables.main.set_index(SCENE_KEYS)["protocol"].to_dict(), pack.tables.grid.columns
     scenes = {cell.dataset_and_scene for cell in pack.cells}
@@ -217,11 +213,11 @@ def rows_of(pack: Pack, truths: Mapping[Path, int]) -> list[BoardRow]:
     for row in pack.tables.grid.rows:
         dataset, scene, column = row.place
         by_head = dict(zip(heads, row.cells, strict=True))
-        scores = tuple(by_head[head]._replace(bold=False) for head in HEADS)
+        scores = tuple(by_head.get(head, GridCell())._replace(bold=False) for head in HEADS)
         is_shown = in_dataset[dataset] > 1 if scene == AVERAGE else (dataset, scene) in scenes
         if is_shown and any(cell.text != "n/a" for cell in scores):
             cells = [cell for cell in pack.cells if _is_behind(cell, dataset, scene, column)]
-            first, found = cells[0].record, frozenset(truths[cell.folder] for cell in cells)
+            first, found = cells[0].record, frozenset(setups[cell.folder] for cell in cells)
             rows.append(
                 BoardRow(pack, protocols[row.place], protocol_settings(first.config), dataset, scene, first.method,
                          column, cells, scores, found)

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from PIL import Image
 
 from tdgbench.cells.folder import RENDERS
 from tdgbench.cells.protocol import protocol_settings
 from tdgbench.present.colour_scale import ColourScale
+from tdgbench.present.html import STEPS, png
 from tdgbench.present.view_pictures import middle_view, view_pictures, view_scale
 from tdgbench.site.packed import Pack
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.results import Cell
 
 MOST_BYTES = 800_000  # of a page's pictures
-WIDTHS = (640, 480, 400, 320, 240, 160, 120, 80, 48)  # px; the largest that fits is taken
 FOLDER = "pictures"
 
 
@@ -81,22 +79,13 @@ def _draw(card: Card, view: str, scale: ColourScale) -> None:
 
 def files_of_cards(cards: Sequence[Card]) -> dict[str, bytes]:
     """Return the picture files of a page by their place, and name them in the cards. Equal pictures are one file."""
-    for width in WIDTHS:
+    for step in STEPS:
         files: dict[str, bytes] = {}
         for card in cards:
             for name, pixels in card.pictures.items():
-                content = _png(pixels, width)
+                content = png(pixels, step)
                 card.files[name] = f"{FOLDER}/{hashlib.sha256(content).hexdigest()[:16]}.png"
                 files[card.files[name]] = content
         if sum(map(len, files.values())) <= MOST_BYTES:
             break
     return files
-
-
-def _png(pixels: np.ndarray, width: int) -> bytes:
-    """Return a picture of at most so many px in width as a PNG file."""
-    picture, buffer = Image.fromarray(pixels), io.BytesIO()
-    if picture.width > width:
-        picture = picture.resize((width, max(1, round(picture.height * width / picture.width))), Image.Resampling.BOX)
-    picture.save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from tdgbench.site.packed import BoardRow
+from tdgbench.site.packed import SCORES, BoardRow
 from tdgbench.tables.comparisons import change_over_seeds, told_apart
-from tdgbench.tables.measures import COLUMNS, HOURS
+from tdgbench.tables.measures import HOURS
 from tdgbench.tables.verdicts import BETTER, WORSE
 
 METRIC = "psnr"  # that ranks are of
 FEWEST_SEEDS = 2
-OTHER_IMAGES = "other images, views or ranges"
+UNLIKE = "unlike trainings, images, views or ranges"
 FEW_SEEDS = "one seed, or no rival with two"
 
 
@@ -48,14 +48,14 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
 def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:
     if len(rivals) < 2:
         return rivals
-    if any(row.measured_on != rivals[0].measured_on or len(row.measured_on) > len(row.scenes) for row in rivals):
-        return [replace(row, unranked=OTHER_IMAGES) for row in rivals]
+    if any(row.setups != rivals[0].setups or len(row.setups) > len(row.scenes) for row in rivals):
+        return [replace(row, unranked=UNLIKE) for row in rivals]
     able = [i for i, row in enumerate(rivals) if len(row.by_seed(METRIC)) >= FEWEST_SEEDS]
     found = [replace(row, unranked=FEW_SEEDS) for row in rivals]
     if len(able) < 2:
         return found
     numbers = _by_seed(METRIC, [rivals[i] for i in able])
-    marks = np.array([_bold(metric, [rivals[i] for i in able]) for metric in COLUMNS])
+    marks = np.array([_bold(metric, [rivals[i] for i in able]) for metric in SCORES])
     for nth, i in enumerate(able):
         verdicts = [change_over_seeds(METRIC, other, numbers[nth]).verdict for other in np.delete(numbers, nth, axis=0)]
         scores = [cell._replace(bold=bool(bold)) for cell, bold in zip(found[i].scores, marks[:, nth], strict=True)]
@@ -68,7 +68,7 @@ def _bold(metric: str, rows: Sequence[BoardRow]) -> list[bool]:
     """Return which of the rows are the best in a metric, or cannot be told from it; none in times of two machines."""
     if metric == HOURS.name and len(set().union(*(row.machines for row in rows))) > 1:
         return [False] * len(rows)
-    values = [row.scores[COLUMNS.index(metric)].value for row in rows]
+    values = [row.scores[SCORES.index(metric)].value for row in rows]
     return told_apart(metric, np.array(values, dtype=float), _by_seed(metric, rows)).tolist()
 
 

@@ -1,7 +1,8 @@
-"""The pages: index, scenes, methods, packs. Links are relative, so that they work from disk and on any host."""
+"""The pages of a site: index, scenes, methods, packs. Links are relative: they work from disk and on any host."""
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -12,6 +13,7 @@ from urllib.parse import quote
 
 from tdgbench.cells.ground_truth import truth_groups
 from tdgbench.cells.key import flat
+from tdgbench.cells.protocol import MEASURED_ON
 from tdgbench.cells.record import Record
 from tdgbench.files import whole_folder
 from tdgbench.packs.manifest import SHOWN
@@ -20,19 +22,50 @@ from tdgbench.report.report_page import legend
 from tdgbench.report.run_facts import environments
 from tdgbench.resources import conf_folder
 from tdgbench.site.budgets import training_in_words
-from tdgbench.site.packed import HEADS, BoardRow, Pack, joined, method_page, rows_of, scene_page
+from tdgbench.site.packed import (
+    ERROR,
+    HEADS,
+    SCORES,
+    BoardRow,
+    Pack,
+    joined,
+    method_page,
+    opened_packs,
+    rows_of,
+    scene_page,
+)
 from tdgbench.site.picture_cards import cards_of, files_of_cards
 from tdgbench.site.psnr_time_plot import plots
-from tdgbench.site.ranking import OTHER_IMAGES, ranked
+from tdgbench.site.ranking import UNLIKE, ranked
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows, doubts_of
 from tdgbench.tables.claims import judge_claims, load_claims
 from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
 from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
+from tdgbench.tables.grids import reasons_for_na
+from tdgbench.tables.likeness import setups
 from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import COLUMNS, MEASURES, as_text
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
 from tdgbench.tables.results import Cell
+from tdgbench.terminal import errors_in_one_line, say
+
+
+@errors_in_one_line("site")
+def main(arguments: list[str]) -> int:
+    """Run the tool; return the exit status: 1 if a pack cannot be read, or the folder is there."""
+    parser = argparse.ArgumentParser(
+        prog="tdgbench site", description="Write web pages from packs: a leaderboard, a page per scene, method, pack."
+    )  # fmt: skip
+    parser.add_argument("pack", nargs="+", type=Path, metavar="PACK", help="written by tdgbench pack")
+    parser.add_argument("folder", type=Path, metavar="DIR", help="the new folder of the pages")
+    parser.add_argument("--title", default="", metavar="TEXT", help="of the site; default names the data sets")
+    options = parser.parse_intermixed_args(arguments)
+    with opened_packs(options.pack) as packs:
+        pages = write_site(packs, options.folder, options.title)
+    sizes = [path.stat().st_size for path in options.folder.rglob("*") if path.is_file()]
+    say(f"{options.folder / 'index.html'}: {pages} pages, {len(sizes)} files, {sum(sizes) / 2**20:.2f} MB")
+    return 0
 
 
 def write_site(packs: Sequence[Pack], folder: Path, title: str = "") -> int:
@@ -43,8 +76,13 @@ def write_site(packs: Sequence[Pack], folder: Path, title: str = "") -> int:
     """
     if folder.exists():
         raise FileExistsError(f"{folder} is there already; remove it, or name a new folder")
-    truths = truth_groups(cell for pack in packs for cell in pack.cells)
-    rows = ranked(row for pack in packs for row in rows_of(pack, truths))
+    cells = [cell for pack in packs for cell in pack.cells]
+    truths, alike = truth_groups(cells), setups([cell.record for cell in cells], with_length=True)
+    by_folder = {
+        cell.folder: json.dumps([setup, truths[cell.folder], *(getattr(cell.record, name) for name in MEASURED_ON)])
+        for cell, setup in zip(cells, alike, strict=True)
+    }
+    rows = ranked(row for pack in packs for row in rows_of(pack, by_folder))
     if not rows:
         raise ValueError("the packs hold no finished cell")
     site = _Site(packs, rows, title or f"Thermal Gaussian splatting on {joined(sorted(r.dataset for r in rows))}")
@@ -98,7 +136,7 @@ class _Site:
             files[pack.page] = self._page(
                 "pack.html.j2", "../", pack=pack, environments=environments(pack.tables.records),
                 notes=_notes(pack.cells), doubts=doubts_of(cell.record for cell in pack.cells),
-                cells=cell_rows(pack.tables.records), reasons=reasons_of(pack.tables.records),
+                cells=cell_rows(pack.tables.records), reasons=reasons_for_na(pack.tables.main, COLUMNS),
                 boards=boards_of([row for row in self.rows if row.pack is pack]),
             )  # fmt: skip
         return files
@@ -138,9 +176,13 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
         boards.append({
             "dataset": dataset, "protocol": protocol, "training": training, "rows": group,
             "settings": {name: json.dumps(value) for name, value in group[0].settings.items()},
+            "shown": [i for i, name in enumerate(SCORES)
+                      if name != ERROR or any(not isnan(row.scores[i].value) for row in group)],
+            "behind": [[methods.label(row.column), row.pack.name, row.scene, head, cell.title] for row in group
+                       for head, cell in zip(HEADS, row.scores, strict=True) if cell.note],
             "facts": [name for name in facts if any(row.facts[name] != "n/a" for row in group)],
             "plots": plots([row for row in group if row.scenes == widest] if averages else group),
-            "mixed": sorted({row.scene for row in group if row.unranked == OTHER_IMAGES and not row.is_average}),
+            "mixed": sorted({row.scene for row in group if row.unranked == UNLIKE and not row.is_average}),
             "palette": palette_in_words(group),
         })  # fmt: skip
     return boards
@@ -148,7 +190,7 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
 
 def _place(row: BoardRow) -> tuple[float, float, bool, str]:
     """Return what sorts the rows of a scene: rank, PSNR, pack."""
-    psnr = row.scores[COLUMNS.index("psnr")].value
+    psnr = row.scores[SCORES.index("psnr")].value
     return row.ranks[0] if row.ranks else inf, inf if isnan(psnr) else -psnr, bool(row.twin), row.pack.page
 
 
@@ -169,20 +211,9 @@ def cell_rows(records: Iterable[Record]) -> list[list[str]]:
     """Return a row for each cell of a pack: what it is, its scores and time, and why it failed."""
     return [
         [methods.label(method_label(r, with_init=True)), f"{r.dataset}/{r.scene}", str(r.seed), training_in_words(r),
-         *("n/a" if isnan(value := metric_value(r, name)[0]) else as_text(name, value) for name in COLUMNS),
+         *("n/a" if isnan(value := metric_value(r, name)[0]) else as_text(name, value) for name in SCORES),
          r.why_failed if r.failure else "finished"] for r in records
     ]  # fmt: skip
-
-
-def reasons_of(records: Iterable[Record]) -> dict[str, list[str]]:
-    """Return which numbers of finished cells are n/a, by reason."""
-    found: dict[str, list[str]] = {}
-    for record in records:
-        for name in COLUMNS if record.failure is None else ():
-            value, reason = metric_value(record, name)
-            if isnan(value):
-                found.setdefault(reason or "not known", []).append(MEASURES[name].label)
-    return {reason: [f"{n} × {label}" for label, n in Counter(labels).items()] for reason, labels in found.items()}
 
 
 def reading_of(method: str, packs: Sequence[Pack]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from tdgbench.cells.record import Record
-from tdgbench.text import MOST_NAMED, first_few
+from tdgbench.text import named
 
 UNSTATED = "not stated"
 DOUBTS = "doubts"
@@ -24,12 +24,14 @@ def assumed_rows(cells: Sequence[tuple[str, Record]]) -> list[tuple[str, str]]:
     """
     stating = [(name, record.assumed) for name, record in cells if record.assumed]
     silent = [name for name, record in cells if not record.assumed]
-    rows = [(f"{UNSTATED} by", _some(silent))] if silent else []
+    rows = [(f"{UNSTATED} by", named(sorted(silent)))] if silent else []
     for key in dict.fromkeys(key for _, assumed in stating for key in assumed):
         by_text: dict[str, list[str]] = {}
         for name, assumed in stating:
             by_text.setdefault(assumed.get(key, UNSTATED), []).append(name)
-        rows += [(key, text if len(by_text) == 1 else f"{text} ({_some(names)})") for text, names in by_text.items()]
+        rows += [
+            (key, text if len(by_text) == 1 else f"{text} ({named(sorted(names))})") for text, names in by_text.items()
+        ]
     return rows
 
 
@@ -65,22 +67,11 @@ def assumed_differences(pairs: Iterable[tuple[Record, Record]]) -> list[AssumedD
     found: dict[AssumedDifference, None] = {}
     for a, b in pairs:
         scene = f"{a.dataset}/{a.scene}"
-        if not a.assumed or not b.assumed:
-            if a.assumed or b.assumed:
-                found[
-                    AssumedDifference(scene, "assumptions", *("stated" if one.assumed else UNSTATED for one in (a, b)))
-                ] = None
-            continue
         texts = [{**one.assumed, DOUBTS: "; ".join(one.doubts) or "none"} for one in (a, b)]
+        if not a.assumed or not b.assumed:
+            texts = [{"assumptions": "stated" if one.assumed else UNSTATED} for one in (a, b)]
         for name in dict.fromkeys([*texts[0], *texts[1]]):
             mine, theirs = (text.get(name, UNSTATED) for text in texts)
             if mine != theirs:
                 found[AssumedDifference(scene, name, mine, theirs)] = None
     return sorted(found, key=lambda one: one.scene)
-
-
-def _some(names: Sequence[str]) -> str:
-    """Return the first few names, and how many there are if not all are named."""
-    unique = set(names)
-    more = f" and {len(unique) - MOST_NAMED} more" if len(unique) > MOST_NAMED else ""
-    return f"{first_few(unique)}{more}"

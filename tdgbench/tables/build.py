@@ -5,7 +5,7 @@ findings.txt says in sentences what they hold.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -25,18 +25,16 @@ from tdgbench.tables.equal_data import equal_scenes
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.grids import ABLATION_KEYS, ablation_grid, main_grid
 from tdgbench.tables.latex import ablation_table, main_table
-from tdgbench.tables.likeness import Trainings, problems_of
+from tdgbench.tables.likeness import Trainings
 from tdgbench.tables.long_table import cell_rows, method_label, scene_rows, with_averages, with_protocols
 from tdgbench.tables.measures import ABLATION, AVERAGE, COLUMNS, EXTRA, KEYS, OVERALL
 from tdgbench.tables.palette import COLUMN, with_image_values
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
 from tdgbench.tables.results import Results, read_results
-from tdgbench.tables.statistics import intervals, over_seeds, seed_values
+from tdgbench.tables.statistics import intervals, with_seeds
 from tdgbench.tables.verdicts import against_published
 
-OPTIONAL = ("readings.csv", "effects.csv", "difference.csv", "between_papers.csv", "others.csv", "compared.csv",
-            "paired.csv", "speed.csv")  # tables that not every experiment or version has  # fmt: skip
 INITS = ("random", "colmap")  # of the paper's Table 2
 MAIN_COLUMNS = [
     *KEYS, "value", "bold", "reason", "seeds", "std", "ci95_low", "ci95_high", "split", "protocol", "range_degC",
@@ -64,7 +62,6 @@ class Tables:
     difference: pd.DataFrame | None
     findings: list[str]  # in sentences
     comparisons: Sequence[MethodComparison] = ()  # of methods with their baselines
-    papers: pd.DataFrame | None = None  # spread between papers
     readings: pd.DataFrame | None = None  # by method and length; of table=readings alone
     effects: pd.DataFrame | None = None
     notes: Sequence[str] = ()  # on unlike trainings
@@ -80,12 +77,16 @@ class Tables:
 
     @property
     def problems(self) -> list[str]:
-        """What could not be read."""
         return self.results.problems
 
     @property
     def folder(self) -> Path:
         return self.results.tables
+
+    @property
+    def papers(self) -> pd.DataFrame | None:
+        """The spread between papers."""
+        return None if self.difference is None else between_papers()
 
     @cached_property
     def grid(self) -> Grid:
@@ -96,7 +97,6 @@ class Tables:
 
     @property
     def latex(self) -> str:
-        """The main table as LaTeX."""
         if self.is_ablation:
             return ablation_table(self.main, self.grid)
         return main_table(self.main, self.grid, self.columns)
@@ -120,27 +120,23 @@ def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:
 def _main(results: Results, options: TableOptions) -> Tables:
     """Build the main table and what goes with it; with table=readings, those of the readings as well."""
     records = results.records
-    rows = cell_rows(records, results.plan)
-    main = with_averages(scene_rows(rows))
-    main = main.merge(over_seeds(rows), on=KEYS, how="left").merge(intervals(results.finished), on=KEYS, how="left")
-    trainings = Trainings(records, COLUMN_OF, options.is_ranking_unlike)
-    main = trainings.set_apart(main)
-    by_seed = seed_values(rows).reindex(pd.MultiIndex.from_frame(main[KEYS])).set_index(main.index)
-    main = with_bold(main, by_seed, ["dataset", "scene"])
-    main = with_image_values(with_protocols(main, records), records, COLUMN_OF)
-    main = main.assign(seeds=main["seeds"].fillna(0).astype(int))[MAIN_COLUMNS]
-    comparisons = compare_methods(rows, main, results.finished)
+    cells = cell_rows(records, results.plan)
+    main, by_seed = with_seeds(with_protocols(with_averages(scene_rows(cells)), records), cells)
+    main = main.merge(intervals(results.finished), on=KEYS, how="left")
+    main, notes, problems = Trainings(records, COLUMN_OF, options.is_ranking_unlike).set_apart(main)
+    equal = equal_scenes(cell.record for cell in results.finished)
+    main = with_bold(with_image_values(main, records, COLUMN_OF), by_seed, ["dataset", "scene"])[MAIN_COLUMNS]
+    comparisons = compare_methods(cells, main, results.finished, equal)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
-    against = against_published(main, published_main(), KEYS) if of_paper else None
-    cells = reading_cells(records) if results.plan.table == "readings" else None
-    changes = None if cells is None else effects(cells)
+    difference = against_published(main, published_main(), KEYS) if of_paper else None
+    by_length, changes = None, None
+    if results.plan.table == "readings":
+        numbers = reading_cells(records)
+        by_length, changes = (with_image_values(table(numbers), records) for table in (readings, effects))
     return Tables(
-        results=replace(results, problems=[*results.problems, *problems_of(main)]), main=main, difference=against,
-        comparisons=comparisons, notes=trainings.notes(), columns=options.columns,
-        findings=findings_of_methods(main, against, comparisons, changes, equal_scenes(records)),
-        papers=None if against is None else between_papers(),
-        readings=None if cells is None else with_image_values(readings(cells), records),
-        effects=None if changes is None else with_image_values(changes, records),
+        results=replace(results, problems=[*results.problems, *problems]), main=main, difference=difference,
+        findings=findings_of_methods(main, difference, comparisons, changes, equal), comparisons=comparisons,
+        readings=by_length, effects=changes, notes=notes, columns=options.columns,
     )  # fmt: skip
 
 
@@ -150,36 +146,35 @@ def _ablation(results: Results, options: TableOptions) -> Tables:
         raise ValueError(f"{results.folder} is an ablation, whose columns are those of the paper's")
     trainings = Trainings(records, lambda record: _of_init(record.init, method_label(record, with_init=False)),
                           options.is_ranking_unlike)  # fmt: skip
-    main = ablation_rows(records, plan, trainings)
+    main, notes = ablation_rows(records, plan, trainings)
     datasets = {s.dataset for s in plan.scenes} | {r.dataset for r in records}
     of_paper = datasets <= set(DATASETS.values())  # a mean over other scenes as well is not the published one
-    published = ablation_as_published(main["init"].unique())
-    against = against_published(main, published, ABLATION_KEYS) if of_paper else None
-    return Tables(
-        results=results, main=main, difference=against, findings=findings_of_ablation(main, against),
-        papers=None if against is None else between_papers(), notes=trainings.notes(),
-    )  # fmt: skip
+    difference = None
+    if of_paper:
+        published = published_ablation()  # its row of random points is that of each kind, as the paper names none
+        random, kinds = published[published["init"] == "random"], {*main["init"]} - {*published["init"]}
+        published = pd.concat([published, *(random.assign(init=kind) for kind in sorted(kinds))])
+        difference = against_published(main, published, ABLATION_KEYS)
+    findings = findings_of_ablation(main, difference)
+    return Tables(results=results, main=main, difference=difference, findings=findings, notes=notes)
 
 
 def _write(tables: Tables) -> None:
-    """Write every table into its folder."""
-    files = {"main.csv": to_csv(tables.main), "main.tex": tables.latex}
-    if tables.readings is not None and tables.effects is not None:
-        files["readings.csv"], files["effects.csv"] = to_csv(tables.readings), to_csv(tables.effects)
-    if tables.difference is not None:
-        files["difference.csv"] = to_csv(tables.difference)
-    if tables.papers is not None:
-        files["between_papers.csv"] = to_csv(tables.papers)
-        if not tables.is_ablation:
-            files["others.csv"] = to_csv(against_others(tables.main))
-    files |= {f"{name}.csv": to_csv(table) for name, table in comparison_tables(tables.comparisons).items()}
-    files["findings.txt"] = "".join(f"{sentence}\n" for sentence in tables.findings)
+    """Write every table that there is into the folder; remove those of cells that were removed."""
+    found: dict[str, pd.DataFrame | None] = {
+        "main": tables.main, "readings": tables.readings, "effects": tables.effects, "difference": tables.difference,
+        "between_papers": tables.papers, "compared": None, "paired": None,
+        "others": None if tables.papers is None or tables.is_ablation else against_others(tables.main),
+        **comparison_tables(tables.comparisons),
+    }  # fmt: skip
     tables.folder.mkdir(parents=True, exist_ok=True)
-    for name in OPTIONAL:  # of cells that were removed
-        if name not in files:
-            (tables.folder / name).unlink(missing_ok=True)
-    for name, text in files.items():
-        write_text(tables.folder / name, text)
+    for name, table in found.items():
+        if table is None:
+            (tables.folder / f"{name}.csv").unlink(missing_ok=True)
+        else:
+            write_text(tables.folder / f"{name}.csv", to_csv(table))
+    write_text(tables.folder / "main.tex", tables.latex)
+    write_text(tables.folder / "findings.txt", "".join(f"{sentence}\n" for sentence in tables.findings))
 
 
 def _of_init(init: str, column: str) -> str:
@@ -187,8 +182,8 @@ def _of_init(init: str, column: str) -> str:
     return f"{column} ({init})"
 
 
-def ablation_rows(records: list[Record], plan: Plan, trainings: Trainings) -> pd.DataFrame:
-    """Return method, init, metric, value, bold, points, seeds, std, reason: means over all scenes, per init.
+def ablation_rows(records: list[Record], plan: Plan, trainings: Trainings) -> tuple[pd.DataFrame, list[str]]:
+    """Return method, init, metric, value, bold, points, seeds, std, reason: means over all scenes, per init; and notes.
 
     The best init is bold, and those that cannot be told from it. points: origin of the initial ones. Scores of training
     views show overfitting; scores of the RGB model show what random points do to it.
@@ -197,25 +192,19 @@ def ablation_rows(records: list[Record], plan: Plan, trainings: Trainings) -> pd
     inits = dict.fromkeys([*plan.inits, *(r.init for r in records)]) or INITS
     for init in sorted({*INITS, *inits}, key=lambda name: (not name.startswith("random"), name)):
         cells = cell_rows(records, plan, init)
-        rows = with_averages(scene_rows(cells)).merge(over_seeds(cells), on=KEYS, how="left")
+        rows = with_averages(scene_rows(cells))
         origins = dict.fromkeys(str(r.init_points["how"]) for r in records if r.init == init and "how" in r.init_points)
         datasets = set(rows["dataset"]) - {""}
         chosen = rows[(rows["scene"] == (OVERALL if len(datasets) > 1 else AVERAGE)) & rows["metric"].isin(ABLATION)]
-        seeds.append(seed_values(cells).reindex(pd.MultiIndex.from_frame(chosen[KEYS])))
+        chosen, by_seed = with_seeds(chosen, cells)
+        seeds.append(by_seed)
         parts.append(chosen.assign(init=init, points="; ".join(origins)))
     table = pd.concat(parts, ignore_index=True)
     names = table.assign(method=[_of_init(row.init, row.method) for row in table.itertuples()])
-    table = trainings.set_apart(names).assign(method=table["method"])
+    named, notes, _ = trainings.set_apart(names)
+    table = named.assign(method=table["method"])
     table = with_bold(table, pd.concat(seeds, ignore_index=True), ["method"])
     order = {name: -i for i, name in enumerate(table["method"].unique())}  # TDg first, as the paper's Table 2
     table = table.sort_values("method", key=lambda c: c.map(order), kind="stable").reset_index(drop=True)
     table = table[[*ABLATION_KEYS, "value", "bold", "points", "seeds", "std", "reason", "training"]]
-    return with_image_values(table, records, partial(method_label, with_init=False))
-
-
-def ablation_as_published(inits: Iterable[str]) -> pd.DataFrame:
-    """Return Table 2 with its row of random points repeated for each kind of them: the paper does not name its kind."""
-    published = published_ablation()
-    kinds = [init for init in inits if init.startswith("random")]
-    random = published[published["init"] == "random"]
-    return pd.concat([published[published["init"] != "random"], *(random.assign(init=kind) for kind in kinds)])
+    return with_image_values(table, records, partial(method_label, with_init=False)), notes

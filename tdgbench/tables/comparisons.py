@@ -7,14 +7,14 @@ else is `undecided`; one seed decides nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from tdgbench.tables import methods
-from tdgbench.tables.equal_data import equal_scenes
+from tdgbench.tables.equal_data import Place
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, MEASURES, OVERALL, PUBLISHED, TRAINING, gain, half_unit
 from tdgbench.tables.methods import MethodPair
@@ -116,13 +116,14 @@ def with_bold(rows: pd.DataFrame, by_seed: pd.DataFrame, within: Sequence[str]) 
     return rows.assign(bold=bold)
 
 
-def compare_methods(cells: pd.DataFrame, main: pd.DataFrame, finished: Sequence[Cell]) -> list[MethodComparison]:
+def compare_methods(
+    cells: pd.DataFrame, main: pd.DataFrame, finished: Sequence[Cell], equal: Collection[Place] = ()
+) -> list[MethodComparison]:
     """Compare every method of a main table with its baseline (`methods.baselines`), where the table has both.
 
-    cells: `cell_rows`. finished: the cells behind them. Scenes of equal data count once, those of unlike trainings
-    (column `training` of main) not at all, and times only of seeds for which one machine ran both methods.
+    cells: `cell_rows`. finished: the cells behind them. equal: scenes of the data of others (`equal_scenes`), which do
+    not count. Nor do those of unlike trainings (column `training` of main), nor times of two machines, seed by seed.
     """
-    equal = equal_scenes(cell.record for cell in finished)
     once = [place not in equal for place in zip(cells["dataset"], cells["scene"], strict=True)]
     counted = cells[np.array(once, dtype=bool) & ~cells["metric"].isin(TRAINING)]
     scored = main.loc[main["metric"].isin(PUBLISHED) & main["value"].notna(), "method"].unique()
@@ -183,11 +184,8 @@ def paired_tests(changes: pd.DataFrame, main: pd.DataFrame) -> pd.DataFrame:
 
 def comparison_tables(comparisons: Iterable[MethodComparison]) -> dict[str, pd.DataFrame]:
     """Return the tables `compared` (every change) and `paired` (tests over scenes) of all pairs; none without any."""
-    found = list(comparisons)
-    names = [dict(zip(("method", "baseline"), one.pair, strict=True)) for one in found]
-    tables = {"compared": [one.changes for one in found], "paired": [one.paired for one in found]}
-    return {
-        name: pd.concat([t.assign(**who)[[*who, *t]] for who, t in zip(names, parts, strict=True)], ignore_index=True)
-        for name, parts in tables.items()
-        if any(len(part) for part in parts)
-    }
+    tables: dict[str, list[pd.DataFrame]] = {"compared": [], "paired": []}
+    for (method, baseline), *parts in comparisons:
+        for found, part in zip(tables.values(), parts, strict=True):
+            found.append(part.assign(method=method, baseline=baseline)[["method", "baseline", *part]])
+    return {name: pd.concat(parts, ignore_index=True) for name, parts in tables.items() if any(map(len, parts))}

@@ -161,15 +161,11 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[st
 
 def _counts(paired: pd.DataFrame) -> str:
     """Return on how many scenes a method is better, worse and undecided, by metric, with p. paired: `paired_tests`."""
-    of_metric = {row.metric: row for row in paired.itertuples()}
-    counted = [(metric, of_metric[metric]) for metric in PUBLISHED if metric in of_metric]
-    words = (", ".join(f"{word} on {n}" for word in (BETTER, WORSE, UNDECIDED) if (n := getattr(row, word)))
-             for _, row in counted)  # fmt: skip
-    return "; ".join(
-        f"{MEASURES[metric].label} {text}{_p(row.p)}"
-        for (metric, row), text in zip(counted, words, strict=True)
-        if text
-    )
+    parts = []
+    for row in paired[paired["metric"].isin(PUBLISHED)].itertuples():
+        words = [f"{word} on {n}" for word in (BETTER, WORSE, UNDECIDED) if (n := getattr(row, word))]
+        parts += [f"{MEASURES[row.metric].label} {', '.join(words)}{_p(row.p)}"] if words else []
+    return "; ".join(parts)
 
 
 def _change(row: Any) -> str:

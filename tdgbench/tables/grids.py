@@ -27,6 +27,7 @@ from tdgbench.tables.measures import (
 )
 from tdgbench.tables.palette import is_marked, palette_notes, with_mark
 from tdgbench.tables.verdicts import UNDECIDED
+from tdgbench.text import named
 
 SCENE_KEYS = ["dataset", "scene", "method"]
 ERROR, RANGE_TITLE = "mae_degC", "range, °C"
@@ -88,6 +89,27 @@ def ablation_grid(main: pd.DataFrame, difference: pd.DataFrame | None, notes: Se
     return Grid(["method", "initial points"], [MEASURES[metric].title for metric in ABLATION], rows, lines, ABLATION)
 
 
+def reasons_for_na(main: pd.DataFrame, metrics: Sequence[str]) -> list[str]:
+    """Return why numbers of a main table or an ablation are n/a: measures, the rows that lack them, and the reason.
+
+    Measures beside the usual ones that no row has are left out.
+    """
+    shown = main[main["metric"].isin(metrics)]
+    known = set(shown.loc[shown["value"].notna(), "metric"]) | {*COLUMNS, *ABLATION}
+    missing, place = shown[shown["value"].isna() & shown["metric"].isin(known)], "scene" if "scene" in main else "init"
+    rows_of = shown.groupby(["method", "metric"]).size()
+    found: dict[tuple[str, str], list[str]] = {}
+    for (metric, reason), group in missing.groupby(["metric", "reason"], sort=False):
+        who: list[str] = []
+        for method, rows in group.groupby("method", sort=False):
+            name = methods.label(str(method))
+            is_whole = len(rows) == rows_of[method, metric]
+            who += [name] if is_whole else [f"{name} on {where}" for where in rows[place]]
+        names = "all rows" if len(group) == rows_of[:, metric].sum() else named(who)
+        found.setdefault((names, str(reason)), []).append(MEASURES[str(metric)].title.rstrip(" ↑↓"))
+    return [f"n/a: {'; '.join(titles)} ({names}): {reason}" for (names, reason), titles in found.items()]
+
+
 def _by_keys(difference: pd.DataFrame | None, keys: list[str]) -> dict[tuple[str, ...], Any]:
     """Return the rows of difference.csv by their keys."""
     if difference is None:
@@ -117,11 +139,9 @@ def _cell(row: Any, published: Any) -> GridCell:
         text += f" ± {as_text(row.metric, row.std, row.scene)}"
     ends = [getattr(row, end, np.nan) for end in ("ci95_low", "ci95_high")]
     span = " to ".join(as_text(row.metric, end, form=".4g") for end in ends if not np.isnan(end))
-    interval = f"95 % interval over seeds and views: {span}" if span else ""
     note, details = difference_note(published, row.scene)
-    title = "; ".join(part for part in (details, interval) if part)
     verdict = published.verdict if note else ""
-    return GridCell(text, mean, row.value, row.value, bool(row.bold), title, note, verdict, beside, row.std)
+    return GridCell(text, mean, row.value, row.value, bool(row.bold), details, note, verdict, beside, row.std, span)
 
 
 def difference_note(published: Any, scene: str) -> tuple[str, str]:

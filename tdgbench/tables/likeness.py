@@ -8,6 +8,7 @@ no rivals, and a mean over unlike trainings is n/a.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -18,13 +19,13 @@ from tdgbench.cells.protocol import protocol_settings
 from tdgbench.cells.record import Record
 from tdgbench.tables import methods
 from tdgbench.tables.measures import AVERAGE, HOURS, OVERALL
-from tdgbench.text import MOST_NAMED, as_typed
+from tdgbench.text import as_typed, named
 
 COLUMN = "training"  # of main.csv: in what a row's training differs from others of its scene; empty if in nothing
 GROUPS = ("budget", "prior", "skip", "thermal_camera")  # of options, that all methods share
 OF_A_COLUMN = ("method.", "init.")  # options that agree within a column
 OF_A_SCENE = ("scene's files", "image size", "range, °C")  # may differ between the scenes of an average
-OF_TIMES = ("processor", "GPU", "threads")
+MACHINE = {"processor": "cpu", "GPU": "gpu", "threads": "threads"}  # of times: names in `environment` of records
 OF_SCORES = "metrics."
 NAMED = ("budget", "prior")  # groups whose name stands for all their options
 OWN = {  # options of budgets that a method's file states, by which key; their values in budget=paper if it does not
@@ -51,8 +52,8 @@ class Trainings:
     """The trainings behind the columns of a table. column: a cell's. is_ranking_unlike: nothing is set apart."""
 
     def __init__(self, records: Iterable[Record], column: Callable[[Record], str], is_ranking_unlike: bool) -> None:
-        self._cells = [(record, column(record), _traits(record)) for record in records if record.failure is None]
-        self._name_versions()
+        finished = [record for record in records if record.failure is None]
+        self._cells = [(one, column(one), traits) for one, traits in zip(finished, _traits(finished), strict=True)]
         self._is_ranking_unlike = is_ranking_unlike
         self._found: dict[tuple[str, str, bool], list[Difference]] = {}
 
@@ -65,7 +66,7 @@ class Trainings:
             for record, column, traits in self._cells:
                 if dataset in ("", record.dataset) and (is_average or record.scene == scene):
                     columns.setdefault(column, []).append(traits)
-            left_out = (*(OF_A_SCENE if is_average else ()), *(() if timed else OF_TIMES))
+            left_out = (*(OF_A_SCENE if is_average else ()), *(() if timed else MACHINE))
             found = _differences(columns, left_out)
             if is_average:  # of scenes, on each of which these have to agree
                 scenes = dict.fromkeys((r.dataset, r.scene) for r, *_ in self._cells if dataset in ("", r.dataset))
@@ -73,8 +74,11 @@ class Trainings:
             self._found[place] = [one for one in found if not (timed and one.name.startswith(OF_SCORES))]
         return self._found[place]
 
-    def set_apart(self, table: pd.DataFrame) -> pd.DataFrame:
-        """Return a main table with COLUMN; numbers of unlike trainings in one column are n/a, with the reason."""
+    def set_apart(self, table: pd.DataFrame) -> tuple[pd.DataFrame, list[str], list[str]]:
+        """Return a main table with COLUMN, notes on differences, and problems: numbers that are n/a.
+
+        Those of unlike trainings in one column are, with the reason.
+        """
         is_timed = table["metric"] == HOURS.name
         places = list(zip(table["method"], table["dataset"], table["scene"], is_timed, strict=True))
         texts, reasons = {}, {}
@@ -92,9 +96,9 @@ class Trainings:
         numbers = [name for name in ("value", "std", "ci95_low", "ci95_high") if name in table]
         table.loc[is_mixed, numbers] = float("nan")
         table.loc[is_mixed, "reason"] = unlike[is_mixed]
-        return table
+        return table, self._notes(), _problems(table)
 
-    def notes(self) -> list[str]:
+    def _notes(self) -> list[str]:
         """Return a line for each difference: what differs, its values, and the columns and scenes that have them."""
         scenes = list(dict.fromkeys((record.dataset, record.scene) for record, *_ in self._cells))
         averages = [(dataset, AVERAGE) for dataset in dict.fromkeys(dataset for dataset, _ in scenes)]
@@ -114,7 +118,7 @@ class Trainings:
                 for text, places in list(by_text.items())[:MOST_SCENES]
             ]
             more = f" and {len(by_text) - MOST_SCENES} more" if len(by_text) > MOST_SCENES else ""
-            alone = ", of times alone" if name in OF_TIMES else ""
+            alone = ", of times alone" if name in MACHINE else ""
             lines.append(f"unlike trainings{alone}: {name}: {'; '.join(parts)}{more}")
         how = (
             f"they are ranked and averaged all the same, as {RANK_UNLIKE} asks" if self._is_ranking_unlike
@@ -122,15 +126,32 @@ class Trainings:
         )  # fmt: skip
         return [*lines, f"unlike trainings: {how}"]
 
-    def _name_versions(self) -> None:
-        """Give equal code one version, as the first cell of it names it: commits may differ in other files."""
-        versions: dict[str, str] = {}
-        for record, _, traits in self._cells:
-            if record.code:
-                traits["tdgbench"] = versions.setdefault(record.code, _version(record))
+
+def setups(records: Sequence[Record], timed: bool = False, with_length: bool = False) -> list[str]:
+    """Return of each cell what another one has to share to be compared with it, as text: equal texts are alike.
+
+    Scene, split and all that has to agree but what pairs may differ in: method and its options, prior, initial points,
+    seed and number of iterations. timed: times compare, so the machine has to agree. with_length: so do the iterations,
+    unless they are those that the method's authors state.
+    """
+    left_out = ("budget", "prior", *(() if timed else MACHINE), *(() if with_length else ("iterations",)))
+    found = []
+    for record, traits in zip(records, _traits(records), strict=True):
+        kept = {
+            name: AUTHORS if isinstance(value, _Own) else value for name, value in traits.items()
+            if name not in left_out and not name.startswith((*OF_A_COLUMN, "prior."))
+        }  # fmt: skip
+        place = [record.dataset, record.scene, record.split]
+        found.append(json.dumps([*place, kept], sort_keys=True, default=str))
+    return found
 
 
-def problems_of(table: pd.DataFrame) -> list[str]:
+def machine(record: Record) -> tuple[str, ...]:
+    """Return the hardware that a cell's times depend on."""
+    return tuple(str(record.environment.get(name)) for name in MACHINE.values())
+
+
+def _problems(table: pd.DataFrame) -> list[str]:
     """Return a problem for each column and scene of a main table whose mean is of unlike trainings."""
     unlike = table[table["reason"].str.contains(UNLIKE, regex=False)]
     places = unlike[["method", "dataset", "scene", "reason"]].drop_duplicates()
@@ -148,12 +169,7 @@ def _by_value(one: Difference) -> str:
     columns: dict[str, list[str]] = {}
     for column, values in one.values.items():
         columns.setdefault(" and ".join(values), []).append(methods.label(column))
-    return ", ".join(f"{value} ({_some(names)})" for value, names in columns.items())
-
-
-def _some(names: Sequence[str]) -> str:
-    more = len(names) - MOST_NAMED
-    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+    return ", ".join(f"{value} ({named(names)})" for value, names in columns.items())
 
 
 def _differences(columns: Mapping[str, Sequence[Mapping[str, object]]], left_out: Sequence[str]) -> list[Difference]:
@@ -193,8 +209,19 @@ def _plain(value: object) -> object:
     return as_typed(value) if isinstance(value, list | dict) else value
 
 
-def _traits(record: Record) -> dict[str, object]:
-    """Return what has to agree, by its name in print: for options, that of the command line."""
+def _traits(records: Sequence[Record]) -> list[dict[str, object]]:
+    """Return what has to agree, by its name in print: for options, that of the command line.
+
+    Equal code has one version, as the first cell of it names it: commits may differ in other files.
+    """
+    versions: dict[str, str] = {}
+    return [
+        _traits_of(one) | ({"tdgbench": versions.setdefault(one.code, version(one))} if one.code else {})
+        for one in records
+    ]
+
+
+def _traits_of(record: Record) -> dict[str, object]:
     config = {name: part for name, part in record.config.items() if isinstance(part, dict)}
     groups = (*(() if record.made_elsewhere else GROUPS), "method", "init")
     options = flat({name: config[name] for name in groups if name in config}) | protocol_settings(config)
@@ -208,18 +235,16 @@ def _traits(record: Record) -> dict[str, object]:
         own = otherwise if stated is None else stated
         if name in traits and traits[name] == own and chosen not in record.variant:
             traits[name] = _Own(traits[name], stated not in (None, otherwise))
-    environment = record.environment
     others = {
         "protocol": record.protocol.partition("-")[0], "backend": "" if record.made_elsewhere else record.backend,
         "scene's files": record.data.split("-")[0], "image size": record.assumed.get("size", ""),
         "range, °C": " to ".join(f"{end:g}" for end in record.temperature_range or ()),
-        "processor": environment.get("cpu"), "GPU": as_typed(environment["gpu"]) if environment.get("gpu") else "",
-        "threads": environment.get("threads"),
+        **{name: record.environment.get(stored) for name, stored in MACHINE.items()},
     }  # fmt: skip
     return traits | {name: value for name, value in others.items() if value}
 
 
-def _version(record: Record) -> str:
+def version(record: Record) -> str:
     """Return version and commit, as `0.1.0 (2f683cd)`."""
     packages, git = (
         part if isinstance(part, dict) else {} for part in map(record.environment.get, ("packages", "git"))

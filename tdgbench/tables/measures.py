@@ -5,16 +5,18 @@ And the names that all tables share: their key columns, and the rows of averages
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from math import nan
+from math import inf, isinf, nan
 from typing import Any
 
+from tdgbench.cells.plan import MetricEntry
 from tdgbench.cells.record import Record
 from tdgbench.scenes.inputs import ROWS_OF_AVERAGES
 from tdgbench.scenes.modalities import OTHERS
 from tdgbench.scoring import METRICS, TRAIN_METRICS
 from tdgbench.scoring.metric import Measure, metric_name
+from tdgbench.scoring.registry import extra_metrics, on_training_views
 from tdgbench.text import duration
 
 KEYS = ["method", "dataset", "group", "scene", "metric"]
@@ -48,15 +50,49 @@ OF_RECORDS = (HOURS, GAUSSIANS, PARAMETERS, MEMORY)  # those that are `in_main_t
 _TRAIN = [metric.of_training_views() for metric in TRAIN_METRICS.values()]
 MEASURES: dict[str, Measure] = {m.name: m for m in (*METRICS.values(), HOURS, *_TRAIN, *OF_RECORDS)}
 
+_BUILT_IN = frozenset(MEASURES)  # `learn` adds those of users
+
 PUBLISHED_SCORES = tuple(name for name, metric in METRICS.items() if metric.in_main_table)
 PUBLISHED = (*PUBLISHED_SCORES, *(m.name for m in OF_RECORDS if m.in_main_table))  # columns of the main table
-TRAINING = tuple(measure.name for measure in _TRAIN)  # of the training views, where overfitting shows
+TRAINING = [measure.name for measure in _TRAIN]  # of the training views, where overfitting shows
 _BESIDE = {name: [other for other, metric in METRICS.items() if metric.beside == name] for name in PUBLISHED}
 COLUMNS = tuple(one for name, more in _BESIDE.items() for one in (name, *more))  # where tables are read
-EXTRA = (*(name for name in METRICS if name not in COLUMNS), *TRAINING)
+EXTRA = [*(name for name in METRICS if name not in COLUMNS), *TRAINING]
 _OF_MODELS = tuple(tuple(metric_name(name, modality) for name in ("psnr", "ssim")) for modality in OTHERS)
 ABLATION_PAIRS = (("psnr", "ssim"), ("train_psnr", "train_ssim"), *_OF_MODELS)  # columns of Table 2
 ABLATION = tuple(name for pair in ABLATION_PAIRS for name in pair)
+
+
+def entries_of(extra: Iterable[str]) -> dict[str, MetricEntry]:
+    """Return how tables print the metrics that `metrics.extra` names, those of training views included.
+
+    Raises ValueError for a name that another number of the tables has.
+    """
+    metrics = {metric.name: metric for metric in extra_metrics(extra)}
+    found = [*metrics.values(), *(metric.of_training_views() for metric in on_training_views(metrics).values())]
+    taken = [one.name for one in found if one.name in _BUILT_IN]
+    if taken:
+        raise ValueError(f"metrics.extra: {taken[0]} is another number of the tables; give your metric another name")
+    return {
+        one.name: MetricEntry(
+            one.label, one.meaning, one.unit, one.digits, one.higher_is_better,
+            (None if isinf(one.limits[0]) else one.limits[0], None if isinf(one.limits[1]) else one.limits[1]),
+            one.images,
+        )
+        for one in found
+    }  # fmt: skip
+
+
+def learn(own_metrics: Mapping[str, MetricEntry]) -> None:
+    """Print the metrics of a plan by their entries from now on; none replaces a number of tdgbench."""
+    for name, entry in own_metrics.items():
+        if name in _BUILT_IN:
+            continue
+        low, high = entry.limits
+        limits = (-inf if low is None else low, inf if high is None else high)
+        MEASURES[name] = Measure(name=name, **entry._replace(limits=limits)._asdict())
+        for names in (EXTRA, TRAINING) if name.startswith("train_") else (EXTRA,):
+            names += [] if name in names else [name]
 
 
 def digits(name: str, scene: str = "") -> int:

@@ -1,7 +1,7 @@
 """As written and as released at equal iterations: scores by method and length, and the change of each difference.
 
-Effects are paired: cells that differ in one thing share data set, scene, initial points and seed. Their interval is
-Student's over seeds, of the mean over scenes; each scene has its row as well.
+Effects are paired: cells that differ in one thing share initial points, seed and setup (`likeness.setups`). Their
+interval is Student's over seeds, of the mean over scenes; each scene has its row as well.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ import pandas as pd
 from tdgbench.cells.record import Record
 from tdgbench.scoring import METRICS
 from tdgbench.tables import methods
+from tdgbench.tables.likeness import setups
 from tdgbench.tables.long_table import metric_value, planned_iterations
 from tdgbench.tables.measures import (
     AVERAGE,
     GAUSSIANS,
+    HOURS,
     MEASURES,
     MEMORY,
     OF_RECORDS,
@@ -39,7 +41,7 @@ SCORES = (
     *PUBLISHED_SCORES,
     *sorted(name for name in set(METRICS) - set(PUBLISHED) - _OMITTED if not METRICS[name].images),
 )
-PLACE = ["dataset", "scene", "init", "split", "seed"]
+PLACE = ["dataset", "scene", "init", "split", "seed", "setup"]
 CHANGES = ["init", "split", "dataset", "scene", "metric", "kind", "change", "ci95_low", "ci95_high", "seeds", "scenes"]
 
 
@@ -70,16 +72,20 @@ def compared_methods() -> list[Effect]:
 
 
 def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
-    """Return one row per finished cell and known number: method, iterations, PLACE, metric, value."""
-    rows = []
-    for record in records:
-        if record.failure is not None:
-            continue
+    """Return one row per finished cell and known number: method, iterations, PLACE, metric, value.
+
+    setup: what has to agree between cells that compare in this number.
+    """
+    records, rows = [record for record in records if record.failure is None], []
+    names = (*SCORES, *(described.name for described in OF_RECORDS))
+    for record, *alike in zip(records, setups(records), setups(records, timed=True), strict=True):
         place = [record.dataset, record.scene, record.init, record.split, record.seed]
-        head = [record.method, planned_iterations(record), *place]
-        names = (*SCORES, *(described.name for described in OF_RECORDS))
-        values = {metric: metric_value(record, metric)[0] for metric in names}
-        rows += [[*head, metric, value] for metric, value in values.items() if not np.isnan(value)]
+        values = {name: metric_value(record, name)[0] for name in names}
+        rows += [
+            [record.method, planned_iterations(record), *place, alike[name == HOURS.name], name, value]
+            for name, value in values.items()
+            if not np.isnan(value)
+        ]
     return pd.DataFrame(rows, columns=["method", "iterations", *PLACE, "metric", "value"])
 
 

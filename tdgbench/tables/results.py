@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,7 +15,8 @@ from tdgbench.cells.paths import RECORD_FILE, VIEWS_FILE, cell_folder_of
 from tdgbench.cells.plan import Plan, read_plan
 from tdgbench.cells.record import READ_PHASE, Failure, Record, no_records, read_each
 from tdgbench.scoring import METRICS
-from tdgbench.tables import methods
+from tdgbench.tables import measures, methods
+from tdgbench.tables.likeness import machine
 from tdgbench.tables.long_table import method_label, planned_iterations
 
 Table = TypeVar("Table")
@@ -42,17 +42,7 @@ class Cell(CellFolder):
 
     @property
     def machine(self) -> tuple[str, ...]:
-        """The hardware that times depend on."""
-        return tuple(str(self.record.environment.get(name)) for name in ("cpu", "gpu", "threads"))
-
-    @property
-    def settings_key(self) -> str:
-        """All settings but method, prior, init, seed and number of iterations."""
-        config = {k: v for k, v in self.record.config.items() if k not in ("method", "prior", "init", "seed", "budget")}
-        whole = self.record.setting("budget")
-        budget = {k: v for k, v in whole.items() if k not in ("iterations", "name")} if isinstance(whole, dict) else {}
-        place = [*self.dataset_and_scene, self.record.data, self.record.split]
-        return json.dumps([*place, config, budget], sort_keys=True)
+        return machine(self.record)
 
     @cached_property
     def log(self) -> pd.DataFrame | None:
@@ -64,7 +54,10 @@ class Cell(CellFolder):
     def views(self) -> pd.DataFrame | None:
         """Scores by the view's name, NaN for n/a; None if there are no usable ones."""
         rows = _usable(self.read_views)
-        return None if rows is None else pd.DataFrame(list(rows.values()), list(rows), list(METRICS), dtype=float)
+        if rows is None:
+            return None
+        metrics = dict.fromkeys([*METRICS, *next(iter(rows.values()), ())])
+        return pd.DataFrame(list(rows.values()), list(rows), list(metrics), dtype=float)
 
 
 def _usable(read: Callable[[], Table]) -> Table | None:
@@ -95,7 +88,6 @@ class Results:
 
     @property
     def tables(self) -> Path:
-        """The folder of the tables."""
         return self.folder / "tables"
 
 
@@ -112,6 +104,7 @@ def read_results(experiment: Path) -> Results:
         plan = Plan()
         problems.append(f"{error}; tables show the cells that have records")
     methods.learn(plan.own_methods)
+    measures.learn(plan.own_metrics)
     cells = _cells_in_place(experiment, problems)
     if experiment.absolute().name == UNNAMED and plan.scenes:
         scenes = {(scene.dataset, scene.scene) for scene in plan.scenes}
@@ -135,14 +128,11 @@ def _cells_in_place(experiment: Path, problems: list[str]) -> list[Cell]:
         elif record.failure is None:
             problem = f"{folder / RECORD_FILE} is in another cell's folder; move it to {place}, or delete it"
             problems.append(f"{record.title}: {problem}")
-            found.setdefault(place, _failed(cell, READ_PHASE, problem))
+            failed = replace(record, status="failed", failure=Failure(READ_PHASE, problem, ""))
+            found.setdefault(place, Cell(place, failed))
         else:
             found.setdefault(place, cell)
     return list(found.values())
-
-
-def _failed(cell: Cell, phase: str, problem: str) -> Cell:
-    return Cell(cell.folder, replace(cell.record, status="failed", failure=Failure(phase, problem, "")))
 
 
 def _view_problems(cell: Cell) -> list[str]:

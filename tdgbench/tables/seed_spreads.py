@@ -46,11 +46,8 @@ def beyond_any_seed(metric: str, distance: float) -> bool:
 
 def beyond_in_words(metrics: Iterable[str]) -> str:
     """Return why one seed is enough for scores of these metrics that are `beyond_any_seed`."""
-    spreads = load_seed_spreads()
-    limits = [
-        f"{spreads.largest[name]:g}{MEASURES[name].suffix} {MEASURES[name].label}" for name in dict.fromkeys(metrics)
-    ]
-    largest = ", ".join(limits)
+    spreads, described = load_seed_spreads(), [MEASURES[name] for name in dict.fromkeys(metrics)]
+    largest = ", ".join(f"{spreads.largest[one.name]:g}{one.suffix} {one.label}" for one in described)
     return f"not reproduced: off by more than {spreads.factor:g} times the largest spread over seeds, {largest}"
 
 

@@ -26,8 +26,7 @@ from tdgbench.scoring import METRICS, LPIPSOptions, Scorer
 from tdgbench.scoring.backbones import Net
 from tdgbench.scoring.lpips import Range
 from tdgbench.scoring.metric import ImageMetric
-from tdgbench.scoring.metrics.psnr import channel_psnr, psnr_of
-from tdgbench.scoring.metrics.psnr_fitted import psnr_affine
+from tdgbench.scoring.metrics.psnr import channel_psnr, psnr_affine, psnr_of
 from tdgbench.scoring.scored_view import Border, Convention, ConventionName, ImagePair, NotApplicableError, at_valid
 from tdgbench.tables.measures import MEASURES
 from tdgbench.tables.results import Cell

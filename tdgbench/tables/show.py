@@ -13,7 +13,7 @@ from rich.text import Text
 from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
-from tdgbench.tables.grids import RANGE_TITLE
+from tdgbench.tables.grids import RANGE_TITLE, reasons_for_na
 from tdgbench.tables.long_table import RANGE
 from tdgbench.tables.measures import ABLATION, HOURS, MEASURES, PUBLISHED, as_text
 from tdgbench.tables.palette import MARK, with_mark
@@ -56,9 +56,8 @@ def show_tables(tables: Tables) -> None:
         _show_readings(tables.readings, tables.effects)
     else:
         _show_main(tables)
-    for note in tables.grid.notes:
+    for note in (*tables.grid.notes, *reasons_for_na(tables.main, PUBLISHED)):
         say(one_line(note))
-    _show_reasons(tables)
     show_problems(tables.problems)
     show_doubts(doubts_of(tables.records))
     if tables.difference is not None:
@@ -173,10 +172,3 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame) -> None:
     show_table(pd.DataFrame(rows, columns=heads))
     heads, rows = changes_as_text(effects)
     show_table(pd.DataFrame(rows, columns=heads))
-
-
-def _show_reasons(tables: Tables) -> None:
-    missing = tables.main[tables.main["value"].isna() & tables.main["metric"].isin(PUBLISHED)]
-    for reason, group in missing.groupby("reason", sort=False):
-        metrics = ", ".join(MEASURES[metric].label for metric in dict.fromkeys(group["metric"]))
-        say(one_line(f"n/a ({len(group)} × {metrics}): {reason}"))

@@ -44,15 +44,16 @@ def seed_values(cells: pd.DataFrame) -> pd.DataFrame:
     """
     by_seed = cells.groupby([*KEYS, "seed"], sort=False)["value"].mean().unstack("seed")
     by_seed = by_seed.reindex(pd.MultiIndex.from_frame(cells[KEYS].drop_duplicates()))
-    parts = [by_seed.reset_index(), _averages(by_seed, ["method", "dataset", "metric"]).assign(group="", scene=AVERAGE),
-             _averages(by_seed, ["method", "metric"]).assign(dataset="", group="", scene=OVERALL)]  # fmt: skip
-    return pd.concat(parts, ignore_index=True).set_index(KEYS)[list(by_seed)]
+    return _with_averages(by_seed, by_seed).set_index(KEYS)[list(by_seed)]
 
 
-def over_seeds(cells: pd.DataFrame) -> pd.DataFrame:
-    """Return KEYS, seeds (their number) and std (sample standard deviation; NaN below two) of `cell_rows`."""
-    seeds = seed_values(cells)
-    return pd.DataFrame({"seeds": seeds.count(axis=1), "std": seeds.std(axis=1)}).reset_index()
+def with_seeds(rows: pd.DataFrame, cells: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the rows with seeds (their number) and std (sample standard deviation; NaN below two); values by seed.
+
+    rows: have KEYS. cells: `cell_rows`. The values are `seed_values` with the rows' index.
+    """
+    by_seed = seed_values(cells).reindex(pd.MultiIndex.from_frame(rows[KEYS])).set_index(rows.index)
+    return rows.assign(seeds=by_seed.count(axis=1), std=by_seed.std(axis=1)), by_seed
 
 
 def intervals(cells: Iterable[Cell]) -> pd.DataFrame:
@@ -74,9 +75,7 @@ def intervals(cells: Iterable[Cell]) -> pd.DataFrame:
     drawn = pd.DataFrame(list(means.values()), pd.MultiIndex.from_tuples(means, names=KEYS))
     datasets = of_all_seeds.groupby("method")["dataset"].nunique()
     several = drawn[drawn.index.get_level_values("method").isin(datasets.index[datasets > 1])]
-    parts = [drawn.reset_index(), _averages(drawn, ["method", "dataset", "metric"]).assign(group="", scene=AVERAGE),
-             _averages(several, ["method", "metric"]).assign(dataset="", group="", scene=OVERALL)]  # fmt: skip
-    rows = pd.concat(parts, ignore_index=True)
+    rows = _with_averages(drawn, several)
     low, high = np.quantile(rows[drawn.columns].to_numpy(), [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2], axis=1)
     return rows[KEYS].assign(ci95_low=low, ci95_high=high)
 
@@ -101,6 +100,13 @@ def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray
     means = np.array([values[rng.integers(len(values), size=(*shape, len(values)))].mean(axis=2) for values in seeds])
     chosen = rng.integers(len(seeds), size=shape)
     return np.take_along_axis(means, chosen[None], axis=0)[0].mean(axis=1)
+
+
+def _with_averages(rows: pd.DataFrame, several: pd.DataFrame) -> pd.DataFrame:
+    """Return rows with the index KEYS, now columns, and their averages. several: those of an overall average."""
+    parts = [rows.reset_index(), _averages(rows, ["method", "dataset", "metric"]).assign(group="", scene=AVERAGE),
+             _averages(several, ["method", "metric"]).assign(dataset="", group="", scene=OVERALL)]  # fmt: skip
+    return pd.concat(parts, ignore_index=True)
 
 
 def _averages(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:

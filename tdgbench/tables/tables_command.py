@@ -18,7 +18,7 @@ from tdgbench.scoring.backbones import SPECS
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.build import TableOptions, build_tables
 from tdgbench.tables.claims import claims_table, judge_claims
-from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
+from tdgbench.tables.claims.evidence import evidence_of
 from tdgbench.tables.findings import claims_in_words
 from tdgbench.tables.likeness import RANK_UNLIKE
 from tdgbench.tables.palette import COLUMN, image_values, palette_notes
@@ -81,23 +81,14 @@ def _sensitivity(experiment: Path, weights: Weights) -> int:
 
 
 def _claims(experiments: list[Path]) -> int:
-    claims = write_claims(experiments)
+    """Check the paper's claims against the published tables and all cells of the experiments; write them to each."""
+    claims = judge_claims(evidence_of(experiments) if experiments else None)
+    for experiment in experiments:
+        folder = experiment / "tables"
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / "claims.csv", as_csv(claims_table(claims), as_is=("published_seen", "ours_seen")))
     show_claims(claims)
     problems = [problem for folder in experiments for problem in read_results(folder).problems]
     show_problems(problems)
     show_findings(claims_in_words(claims))
     return int(bool(problems))
-
-
-def write_claims(experiments: list[Path]) -> list[JudgedClaim]:
-    """Check the paper's claims against the published tables and against all cells of the experiments together.
-
-    Write them to each experiment. Raises ValueError for an empty experiment.
-    """
-    ours = evidence_of(experiments) if experiments else None
-    judged = judge_claims(ours)
-    for experiment in experiments:
-        folder = experiment / "tables"
-        folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "claims.csv", as_csv(claims_table(judged), as_is=("published_seen", "ours_seen")))
-    return judged

@@ -1,16 +1,10 @@
 """Our numbers beside published ones, with verdicts: equivalence tests of means over seeds (two one-sided tests, TOST).
 
-- `reproduced`: the 90 % interval of our mean (Student, 5 % on each side) lies within the margin around the published
-  number.
-- `better`, `worse`: the interval lies entirely outside of the margin, on one side.
-- `not reproduced`: of one seed, whose distance is beyond the margin and any spread over seeds (`seed_spreads.yaml`).
-- `undecided`: anything else, with the number of seeds that would probably decide it.
-
-Each of the first three is wrong in at most 5 % of cases (docs/findings/verdicts.md). Print hides up to
-half a unit of the last digit, so a verdict must hold for every number that prints the same: half a unit narrows the
-margin for `reproduced` and widens it for `better` and `worse`. Otherwise the published number counts as exact, because
-no paper gives its spread over seeds. The 5 % hold for a number of seeds that was chosen beforehand; adding seeds until
-a verdict appears makes errors more frequent.
+`reproduced`: the 90 % interval of our mean (Student) lies within the margin around the published number. `better`,
+`worse`: it lies outside, on one side. `not reproduced`: of one seed, beyond the margin and any spread over seeds
+(`seed_spreads.yaml`). `undecided`: anything else. Each of the first three is wrong in at most 5 % of cases, for a
+number of seeds that was chosen beforehand (docs/findings/verdicts.md). A verdict holds for every number that prints the
+same: half a unit narrows the margin for `reproduced` and widens it for `better` and `worse`.
 """
 
 from __future__ import annotations
@@ -142,35 +136,23 @@ def judge_published(metric: str, scene: str, ours: float, published: float, std:
     return ScoreVerdict(word, margin, low, high, needed, why)
 
 
-def difference(ours: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """Return one row per published number: keys, ours, published, difference (NaN where ours is n/a), reason.
-
-    >>> ours, paper = (pd.DataFrame({"method": ["tdg"], "value": [value]}) for value in (26.5, 26.25))
-    >>> difference(ours, paper, ["method"])[["ours", "published", "difference"]].values.tolist()
-    [[26.5, 26.25, 0.25]]
-    """
-    mine = ours[[*keys, "value", *(["reason"] if "reason" in ours else [])]].rename(columns={"value": "ours"})
-    merged = published[[*keys, "value"]].rename(columns={"value": "published"}).merge(mine, on=keys, how="left")
-    merged["difference"] = merged["ours"] - merged["published"]
-    if "reason" not in merged:
-        merged["reason"] = ""
-    merged["reason"] = merged["reason"].fillna("no such cell in our results")
-    return merged[[*keys, "ours", "published", "difference", "reason"]]
-
-
 def against_published(main: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
-    """Return `difference` with our std, seeds and image_values, fields of ScoreVerdict, and other papers' numbers."""
-    differences = difference(main, published, keys)
-    merged = differences.merge(main[[*keys, "std", "seeds", COLUMN]], on=keys, how="left")
-    of_images = merged.pop(COLUMN).fillna("")
-    merged["seeds"] = merged["seeds"].fillna(0).astype(int)
+    """Return one row per published number: keys, ours, published, difference (ours − published), reason, std, seeds,
+    fields of ScoreVerdict, other papers' numbers, image_values. ours: NaN where it is n/a, for the reason.
+    """
+    ours = main[[*keys, "value", "reason", "std", "seeds", COLUMN]].rename(columns={"value": "ours"})
+    merged = published[[*keys, "value"]].rename(columns={"value": "published"}).merge(ours, on=keys, how="left")
+    merged = merged.fillna({"reason": "no such cell in our results", "seeds": 0, COLUMN: ""}).astype({"seeds": int})
+    merged["difference"] = merged["ours"] - merged["published"]
     judged = [
         judge_published(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
         for r in merged.itertuples()
     ]
     verdicts = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index)
-    verdicts = verdicts[["margin", "ci90_low", "ci90_high", "verdict", "seeds_needed", "undecided_because"]]
-    return with_other_papers(pd.concat([merged, verdicts], axis=1)).assign(**{COLUMN: of_images})
+    table = pd.concat([merged[[*keys, "ours", "published", "difference", "reason", "std", "seeds"]],
+                       verdicts[["margin", "ci90_low", "ci90_high", "verdict", "seeds_needed", "undecided_because"]]],
+                      axis=1)  # fmt: skip
+    return with_other_papers(table).assign(**{COLUMN: merged[COLUMN]})
 
 
 def comparable(differences: pd.DataFrame) -> pd.DataFrame:

@@ -15,7 +15,7 @@ from tdgbench.training.pixels import PixelRule
 from tdgbench.training.plateau import PlateauRule
 from tdgbench.training.rule import Rule
 from tdgbench.training.settling import SettlingRule
-from tdgbench.training.skips import Account
+from tdgbench.training.skips import Finished, Skip, Skips, account_switches
 
 __all__ = ["RULES", "SKIP_RULES", "Budget", "GrowthRule", "HarmonicsRule", "PixelRule", "PlateauRule", "SettlingRule"]
 
@@ -44,12 +44,6 @@ class Budget:
     def rules(self) -> dict[str, Rule | None]:
         """All rules by name; None: it is off."""
         return {name: getattr(self, name) for name in RULES}
-
-    @property
-    def accounts(self) -> dict[str, Account | None]:
-        """What decides the skip of each of `SKIP_RULES`; None: the rule is off."""
-        rules = {name: rule for name, rule in self.rules.items() if name in SKIP_RULES}
-        return {name: None if rule is None else rule.account for name, rule in rules.items()}
 
     @property
     def active_rules(self) -> list[Rule]:
@@ -88,6 +82,19 @@ class Budget:
         """Return the budget of a training of exactly so many iterations, which no rule ends."""
         off: dict[str, Any] = dict.fromkeys(name for name, rule in RULES.items() if rule.ends_training)
         return replace(self, iterations=iterations, **off)
+
+
+def account(budget: Budget, skips: Skips, training: Finished) -> list[Skip]:
+    """Return all skips of a training with reasons and savings: first the switches, then the rules of its budget."""
+    account_switches(skips, training)
+    found = skips.all()
+    for name in SKIP_RULES:
+        rule = budget.rules[name]
+        skip = Skip(name, rule is not None, reason=f"the budget has no rule for {name}")
+        if rule is not None:
+            rule.account(skip, training)
+        found.append(skip)
+    return found
 
 
 def _rule_of(hint: object) -> type[Rule] | None:

@@ -18,7 +18,7 @@ from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.training.budget import Budget
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.images import MODALITIES, THERMAL
-from tdgbench.training.part import Network, Part, RandomStream, Rate, State
+from tdgbench.training.part import Network, Part, RandomStream, Rate
 from tdgbench.training.rig import Rig
 from tdgbench.training.rule import BudgetFields, DecideGrowth, ModelInputs
 from tdgbench.training.skips import Skips
@@ -36,15 +36,10 @@ class Frame:
     time: float = 0.0  # of the view, 0 (the first) to 1 (the last)
 
 
-def frames_of(scene: Scene) -> dict[str, Frame]:
-    """Return the frame of each view of a scene by name. Numbers, and times from 0 to 1, follow the order of names."""
-    views = sorted(scene.views, key=lambda view: view.name)
-    last = max(len(views) - 1, 1)
-    return {view.name: Frame(view.camera, index, index / last) for index, view in enumerate(views)}
-
-
 class ViewOrder(RandomStream):
     """Views in random order without replacement, reshuffled after each round (3DGS)."""
+
+    changing = ("_order",)
 
     def __init__(self, views: list[View], seed: int, curriculum: Curriculum) -> None:
         """curriculum: which of the views, and at which resolution."""
@@ -68,13 +63,6 @@ class ViewOrder(RandomStream):
     def has_ended(self) -> bool:
         """Whether held-out views have ended the training of the model that sees these views."""
         return self.curriculum.has_ended
-
-    def state_dict(self) -> State:
-        return {"order": list(self._order), **super().state_dict()}
-
-    def load_state_dict(self, saved: State) -> None:
-        super().load_state_dict(saved)
-        self._order = list(saved["order"])
 
 
 @dataclass
@@ -143,8 +131,10 @@ class Context:
 
     @cached_property
     def frames(self) -> dict[str, Frame]:
-        """The frame of each view of the scene, by name."""
-        return frames_of(self.scene)
+        """The frame of each view of the scene by name. Numbers, and times from 0 to 1, follow the order of names."""
+        views = sorted(self.scene.views, key=lambda view: view.name)
+        last = max(len(views) - 1, 1)
+        return {view.name: Frame(view.camera, index, index / last) for index, view in enumerate(views)}
 
     def frame(self, view: View) -> Frame:
         """Return the frame of a view of the scene, at the view's resolution."""

@@ -31,6 +31,8 @@ class Curriculum(Part):
     The resolution follows the schedule; `advance` moves to the next one earlier.
     """
 
+    changing = ("_step", "settled_at", "is_holding", "_iteration", "_trained", "has_ended")
+
     def __init__(self, resolutions: list[Resolution] | None = None, held_out: list[View] | None = None) -> None:
         """resolutions: below the full one, the lowest first. held_out: views that are not trained on at first."""
         self.resolutions = resolutions or []
@@ -94,16 +96,9 @@ class Curriculum(Part):
             self._shrunk[view.name] = shrunk(view, self.scale)
         return self._shrunk[view.name]
 
-    def state_dict(self) -> State:
-        return {
-            "step": self._step, "settled_at": self.settled_at, "is_holding": self.is_holding,
-            "iteration": self._iteration, "trained": list(self._trained), "has_ended": self.has_ended,
-        }  # fmt: skip
-
     def load_state_dict(self, saved: State) -> None:
-        self.settled_at, self.is_holding, self.has_ended = (saved[n] for n in ("settled_at", "is_holding", "has_ended"))
-        self._iteration, self._trained = saved["iteration"], list(saved["trained"])
-        self._use(saved["step"])
+        super().load_state_dict(saved)
+        self._shrunk = {}
 
     def report(self) -> Report:
         by_scale = {f"1/{scale}": count for scale, count in self.iterations.items()}

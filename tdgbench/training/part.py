@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from typing import Any
 
 import torch
@@ -19,6 +20,7 @@ class Part:
     """
 
     needed_to_render: bool = False  # whether rendering needs its state, which is then stored with the cell
+    changing: tuple[str, ...] = ()  # attributes that are its state: numbers, texts, and lists of them
 
     def begin(self, iteration: int) -> None:
         """Prepare for an iteration (1-based within its stage), before the method's step."""
@@ -47,10 +49,12 @@ class Part:
 
     def state_dict(self) -> State:
         """Return everything that training changes, as `torch.save` takes it; tensors may share memory with the part."""
-        return {}
+        return {name: copy(getattr(self, name)) for name in self.changing}
 
     def load_state_dict(self, saved: State) -> None:
         """Restore what `state_dict` returned."""
+        for name in self.changing:
+            setattr(self, name, copy(saved[name]))
 
     def report(self) -> Report:
         """Return facts for the record that JSON can represent."""
@@ -79,9 +83,10 @@ class RandomStream(Part):
         self.generator = torch.Generator().manual_seed(seed)
 
     def state_dict(self) -> State:
-        return {"generator": self.generator.get_state()}
+        return {**super().state_dict(), "generator": self.generator.get_state()}
 
     def load_state_dict(self, saved: State) -> None:
+        super().load_state_dict(saved)
         self.generator.set_state(saved["generator"])
 
 
@@ -134,25 +139,25 @@ class Network(Part):
 
 
 class TrainingError(Exception):
-    """A tensor ended training at an iteration."""
+    """A tensor, or the Gaussians of a model, ended training at an iteration."""
 
-    def __init__(self, iteration: int, tensor: str, message: str) -> None:
-        super().__init__(message)
+    what: str  # is wrong with it
+
+    def __init__(self, iteration: int, tensor: str) -> None:
+        super().__init__(iteration, tensor)
         self.iteration, self.tensor = iteration, tensor
 
     def __str__(self) -> str:
-        return f"{self.args[0]} at iteration {self.iteration}"
+        return f"{self.tensor}{self.what} at iteration {self.iteration}"
 
 
 class NonFiniteError(TrainingError):
     """A tensor is not finite."""
 
-    def __init__(self, iteration: int, tensor: str) -> None:
-        super().__init__(iteration, tensor, f"{tensor} is not finite")
+    what = " is not finite"
 
 
 class EmptyModelError(TrainingError):
     """Density control removed every Gaussian of a model."""
 
-    def __init__(self, iteration: int, model: str) -> None:
-        super().__init__(iteration, model, f"{model}: no Gaussian is left after density control")
+    what = ": no Gaussian is left after density control"

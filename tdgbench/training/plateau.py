@@ -44,6 +44,7 @@ class Plateau(Stopping):
     """Detects a plateau of the loss by a rule. On a GPU, the device adds the losses up; the host reads their sums."""
 
     reads_loss = False
+    changing = ("_sum", "_count", "_best", "_without", "_reached")
 
     def __init__(self, rule: PlateauRule, views: int) -> None:
         """views: number of training views."""
@@ -54,11 +55,7 @@ class Plateau(Stopping):
         self._reached = False
 
     def state_dict(self) -> State:
-        names = ("_count", "_best", "_without", "_reached")
-        return {"_sum": float(self._sum), **{name: getattr(self, name) for name in names}}
-
-    def load_state_dict(self, saved: State) -> None:
-        vars(self).update(saved)
+        return {**super().state_dict(), "_sum": float(self._sum)}
 
     def reached(self, iteration: int, loss: float | torch.Tensor) -> bool:
         if self._reached:

@@ -79,6 +79,7 @@ class Settling(Stopping):
     """Raises the resolution, lowers the learning rates and ends a training, by the PSNR of held-out views."""
 
     reads_loss = False
+    changing = ("_scale", "_psnrs", "_stalls", "_best_scale", "_best_psnrs", "_no_better")
 
     def __init__(
         self,
@@ -99,13 +100,8 @@ class Settling(Stopping):
         self._best_scale, self._best_psnrs = 0, list[float]()  # of the resolutions before, at its end; 0: none
         self._no_better = 0  # resolutions in a row since then
 
-    def state_dict(self) -> State:
-        names = ("_scale", "_psnrs", "_stalls", "_best_scale", "_best_psnrs", "_no_better")
-        return {name.strip("_"): getattr(self, name) for name in names}
-
     def load_state_dict(self, saved: State) -> None:
-        for name, value in saved.items():
-            setattr(self, f"_{name}", list(value) if isinstance(value, list) else value)
+        super().load_state_dict(saved)
         if self.curriculum.settled_at:
             self._stop_growth()
 

@@ -6,7 +6,7 @@ null.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -122,27 +122,8 @@ class Finished(NamedTuple):
         return f"{self.remaining} of {self.planned} iterations"
 
 
-Account = Callable[[Skip, Finished], None]  # of a rule: it decides the skip of a finished training
-
-
-def account(skips: Skips, training: Finished, accounts: Mapping[str, Account | None]) -> list[Skip]:
-    """Return all skips of a training with reasons and savings: first the switches, then the rules of the budget.
-
-    accounts: of the rules that are skips, by name; None: the rule is off.
-    """
-    _account_switches(skips, training)
-    found = skips.all()
-    for name, account_of_rule in accounts.items():
-        skip = Skip(name, allowed=account_of_rule is not None)
-        if account_of_rule is None:
-            skip.reason = f"the budget has no rule for {name}"
-        else:
-            account_of_rule(skip, training)
-        found.append(skip)
-    return found
-
-
-def _account_switches(skips: Skips, training: Finished) -> None:
+def account_switches(skips: Skips, training: Finished) -> None:
+    """Complete the skips that can be switched with what a training did."""
     scene = training.scene
     gray = scene.channels == 1
     images = f"all {len(scene.train) + len(scene.test)} thermal images are gray"

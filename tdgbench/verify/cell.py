@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import fields
 from pathlib import Path
-from typing import NamedTuple
 
 from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.paths import CAMERAS_FILE, LOG_FILE, RECORD_FILE, VIEWS_FILE
@@ -20,15 +19,11 @@ from tdgbench.verify.truth import truth_problems
 UNKNOWN = {"method": "", "dataset": "", "scene": "", "init": "", "seed": 0, "experiment": "", "variant": ""}
 
 
-class StatedCell(NamedTuple):
-    """A cell, and the text of its record."""
+def read_cell(folder: Path) -> tuple[CellFolder, str]:
+    """Read a cell and the text of its record; fields that it lacks have their defaults.
 
-    cell: CellFolder
-    text: str
-
-
-def read_cell(folder: Path) -> StatedCell:
-    """Read a cell's record; fields that it lacks have their defaults. Raises ValueError if it is no JSON object."""
+    Raises ValueError if the record is no JSON object.
+    """
     text = read_text(folder / RECORD_FILE)
     try:
         content = json.loads(text)
@@ -36,10 +31,9 @@ def read_cell(folder: Path) -> StatedCell:
         raise ValueError(f"{RECORD_FILE} is not JSON: {error}") from error
     if not isinstance(content, dict):
         raise ValueError("it is not a JSON object")
-    known = {f.name for f in fields(Record)}
-    return StatedCell(
-        CellFolder(folder, Record(**{**UNKNOWN, **{k: v for k, v in content.items() if k in known}})), text
-    )
+    known = {field.name for field in fields(Record)}
+    stated = {name: value for name, value in content.items() if name in known}
+    return CellFolder(folder, Record(**{**UNKNOWN, **stated})), text
 
 
 def verify_cell(folder: Path, weights: Path | None = None) -> list[str]:
@@ -50,14 +44,14 @@ def verify_cell(folder: Path, weights: Path | None = None) -> list[str]:
     problems = Problems()
     stated = problems.read(RECORD_FILE, read_cell, folder)
     if stated is not None:
-        check_cell(stated, problems, weights)
+        check_cell(*stated, problems, weights)
     return problems.all
 
 
-def check_cell(stated: StatedCell, problems: Problems, weights: Path | None = None) -> None:
+def check_cell(cell: CellFolder, text: str, problems: Problems, weights: Path | None = None) -> None:
     """Add the problems of `verify_cell`."""
-    cell, record = stated.cell, stated.cell.record
-    problems.check(f"fields of {RECORD_FILE}", record_problems.field_problems, stated.text)
+    record = cell.record
+    problems.check(f"fields of {RECORD_FILE}", record_problems.field_problems, text)
     problems.check("the key", record_problems.key_problems, record)
     if record.status == "failed":
         return

@@ -100,15 +100,16 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
             found = Problems()
             stated = found.read(RECORD_FILE, read_cell, folder)
             if stated is not None:
-                found.check("its folder", place_problems, stated.cell)
-                check_cell(stated, found, weights)
-            if stated is not None and stated.cell.record.status == "ok":
-                finished += 1
-                sound += [] if found.all else [stated.cell.record]
-                try:
-                    checked += found.check("its ground truth", data_problems, stated.cell, true)
-                except NotCheckedError as reason:
-                    why_not[str(reason)] = None
+                cell, text = stated
+                found.check("its folder", place_problems, cell)
+                check_cell(cell, text, found, weights)
+                if cell.record.status == "ok":
+                    finished += 1
+                    sound += [] if found.all else [cell.record]
+                    try:
+                        checked += found.check("its ground truth", data_problems, cell, true)
+                    except NotCheckedError as reason:
+                        why_not[str(reason)] = None
             name = folder.relative_to(experiment / "cells").as_posix()
             problems += [f"{name}: {problem}" for problem in found.all]
     problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {RECORD_FILE} is missing" for folder in lost]

@@ -11,11 +11,12 @@ import numpy as np
 
 from tdgbench.cells.folder import RENDERS, TARGETS, CellFolder
 from tdgbench.cells.ground_truth import masked_share
+from tdgbench.cells.known_classes import extra_of
 from tdgbench.cells.metric_settings import metric_settings, scorer_of
 from tdgbench.cells.paths import RECORD_FILE, VIEWS_FILE
 from tdgbench.cells.record import Record
 from tdgbench.scenes import Scene
-from tdgbench.scoring import METRICS, RenderedImages, Scores, mean_scores
+from tdgbench.scoring import RenderedImages, Scores, mean_scores
 from tdgbench.scoring.backbones import BackboneUnavailableError
 from tdgbench.scoring.metric import ImageMetric, Metric
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
@@ -57,8 +58,14 @@ def score_problems(
     alone give a value; it is none where only weights of a backbone were missing.
     """
     record, views = cell.record, list(cell.test_cameras)
-    convention = scorer_of(metric_settings(record.setting("metrics")), weights=weights).settings
-    metrics = [one for one in METRICS.values() if one.verified_to is not None and one.name in record.scores]
+    extra: list[str] = []
+    try:
+        extra = extra_of(record.setting("metrics"))
+    except ValueError as error:
+        yield str(error)
+    scorer = scorer_of(metric_settings(record.setting("metrics")), weights=weights, extra=extra)
+    convention, known = scorer.settings, scorer.metrics.values()
+    metrics = [one for one in known if one.verified_to is not None and one.name in record.scores]
     if len(depths) < len(views):  # reported elsewhere; neighbours and depths are not known
         metrics = [metric for metric in metrics if isinstance(metric, ImageMetric)]
     computed: dict[str, list[float]] = {metric.name: [] for metric in metrics}

@@ -12,9 +12,8 @@ from pathlib import Path
 
 from tdgbench.cells.known_classes import add_trust_arguments, trust
 from tdgbench.terminal import errors_in_one_line, say
-from tdgbench.view.cells import open_cell, open_cells
+from tdgbench.view.cells import Follower, open_cell, open_cells
 from tdgbench.view.export import MAX_MB, export
-from tdgbench.view.follow import Follower
 
 WIDTH = 1280  # px
 LOCAL = "127.0.0.1"

@@ -1,10 +1,16 @@
 """The stages of a cell: checkpoints, and the backend that trains."""
 
+from __future__ import annotations
+
+import os
+import stat
+
 import pytest
 
 from tdgbench.bench.backend_check import choose
 from tdgbench.cells.folder import hashes_of_content
 from tdgbench.cells.record import read_all
+from tdgbench.tables.build import build_tables
 from tests.helpers.cells import PulledPlugError, killed_at, run_quietly
 from tests.helpers.configs import QUICK, config
 
@@ -76,11 +82,26 @@ def test_a_verdict_makes_no_finished_cell_run_again(run, tmp_path, auto_is):
     assert not any("backend" in note for note in named.notes)
 
 
-def test_a_checkpoint_of_another_backend_is_not_used(run, tmp_path, monkeypatch, auto_is):
-    with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
-        killed_at(5, patch)
-        run(tmp_path, "checkpoint=0")
-    auto_is("reference", "A trains: it agrees")
-    assert run(tmp_path).status == "ok"
-    (record,) = read_all(tmp_path / "single")
-    assert record.resumed == [] and any("not used: other backend (iteration 5)" in note for note in record.notes)
+@pytest.mark.parametrize(("umask", "folder", "file"), [(0o022, 0o755, 0o644), (0o027, 0o750, 0o640)])
+def test_permissions_follow_the_umask(tmp_path, data_root, monkeypatch, umask, folder, file):
+    """A cell that is killed after its first checkpoint, resumed, and tabulated."""
+    place = f"data.root={data_root}", f"results={tmp_path / 'results'}"
+    cfg = config(*QUICK, "method=tdg", "scene=turntable", *place, "checkpoint=0")
+    experiment = tmp_path / "results" / "single"
+    before = os.umask(umask)
+    try:
+        with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
+            killed_at(1, patch)
+            run_quietly(cfg)
+        (checkpoint,) = (experiment / "checkpoints").iterdir()
+        assert stat.S_IMODE(checkpoint.stat().st_mode) == file
+        assert run_quietly(cfg).message == "resumed after iteration 1"
+        build_tables(experiment)
+    finally:
+        os.umask(before)
+    paths = [p for p in (tmp_path / "results").rglob("*") if p.parent.name != "locks"]
+    names = {p.name for p in paths}
+    files = {"record.json", "model.ply", "cameras.json", "main.csv", "main.tex"}
+    assert {"seed0", "checkpoints", "priors", *files} <= names
+    wrong = [p for p in paths if stat.S_IMODE(p.stat().st_mode) != (folder if p.is_dir() else file)]
+    assert wrong == []

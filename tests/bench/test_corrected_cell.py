@@ -77,17 +77,6 @@ def test_what_cannot_be_estimated_is_a_note(results_of):
     assert note.startswith("thermal camera: images stay as they are: ")
 
 
-def test_a_capture_without_drift_keeps_its_offsets(results_of):
-    (record,) = read_all(results_of("still", of=STILL)[1] / "single")
-    assert "offsets" not in record.thermal_camera["estimated"]["terms"]
-    assert record.thermal_camera["estimated"]["offset_rms"] == 0
-
-
-def test_without_an_estimate_nothing_is_said(small_results):
-    for record in read_all(small_results):
-        assert record.thermal_camera == {} and "thermal_camera" not in record.seconds
-
-
 def test_the_record_holds_what_training_views_were_corrected_for(results, cell):
     scene = instantiate(results[0].dataset.loader).load("turntable")
     found = corrected(scene, estimate_camera(scene))

@@ -14,28 +14,12 @@ def test_describes_the_machine():
     assert described["simd_lanes"] in (8, 16)
 
 
-def test_code_version_is_stable():
-    assert code_version() == code_version() and len(code_version()) == 16
-
-
 def test_the_code_that_sets_a_training_up_is_hashed():
     """Packages whose change must run a cell again: all of tdgbench that a set-up imports, but for its bookkeeping."""
     program = "import sys, tdgbench.bench.setup; print(*(name for name in sys.modules if name.startswith('tdgbench.')))"
     run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     packages = {name.split(".")[1] for name in run.stdout.split()}
-    bookkeeping = {
-        "bench",
-        "cells",
-        "files",
-        "resources",
-        "text",
-        "terminal",
-        "signals",
-        "tools",
-        "children",
-        "ply",
-        "tensors",
-    }
+    bookkeeping = {"bench", "cells", "files", "resources", "text", "terminal", "signals", "children", "ply", "tensors"}
     assert packages - bookkeeping <= {Path(name).name for name in HASHED}
     assert "tdgbench/bench/setup.py" in HASHED
     assert all((ROOT / name).exists() for name in HASHED)

@@ -141,9 +141,3 @@ def test_random_points_in_the_box_of_the_sfm_points(small_scene):
     assert (cloud.points <= small_scene.points.points.max(axis=0)).all()
     with pytest.raises(SceneError, match="which init=random_box needs"):
         BoxAroundPoints(10, 0).points(dataclasses.replace(small_scene, points=None))
-
-
-@pytest.mark.parametrize("name", ["random", "random_released", "random_box"])
-def test_every_kind_of_random_points_has_a_configuration(small_scene, name):
-    cloud = instantiate(config(f"init={name}", "init.points.count=50").init.points).points(small_scene)
-    assert cloud.points.shape == (50, 3) and cloud.colors.dtype == np.float32

@@ -7,24 +7,17 @@ from io import BytesIO, StringIO, TextIOWrapper
 import pytest
 from rich.console import Console
 
-from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.progress import CellProgress, Outcome, finished, finished_records
+from tdgbench.cells.record import Failure
 from tdgbench.training.loop import LogLine
 from tdgbench.training.trainer import LastIteration
-
-
-class Clock:
-    """Seconds that pass when a test says so."""
-
-    def __init__(self) -> None:
-        self.seconds = 1000.0
-
-    def __call__(self) -> float:
-        return self.seconds
+from tests.helpers.records import record, write
+from tests.helpers.waiting import Clock
 
 
 @pytest.fixture
 def clock():
-    return Clock()
+    return Clock(1000.0)
 
 
 def line(iteration: int) -> LogLine:
@@ -122,19 +115,6 @@ def test_long_stages_before_training_talk_too(clock):
     ]
 
 
-def test_the_next_cell_begins_anew(clock):
-    out = StringIO()
-    progress = CellProgress(Console(file=out), 10, clock)
-    for title in ("a", "b"):
-        progress.begin(title)
-        progress.start(8)
-        progress.phase("train")
-        progress.line(line(1), LastIteration(10, is_limit=False))
-        progress.end()
-        clock.seconds += 100
-    assert out.getvalue().count("\n") == 2 and "left" not in out.getvalue()
-
-
 def test_every_line_is_flushed_and_one_line(clock):
     """A file's buffer holds kilobytes: a reader of a job's log would see nothing for hours."""
     raw = BytesIO()
@@ -145,10 +125,23 @@ def test_every_line_is_flushed_and_one_line(clock):
     assert raw.getvalue().decode() == "tdg on a\\nb\\x1b[2J [red]: starts, 10 iterations on 8 training views\n"
 
 
-def test_a_dumb_terminal_gets_lines(monkeypatch, clock):
-    monkeypatch.setenv("TERM", "dumb")
-    out = StringIO()
-    progress = CellProgress(Console(file=out, force_terminal=True), 10, clock)
-    progress.begin("a")
-    progress.start(8)
-    assert "a: starts" in out.getvalue()
+def test_a_finished_cell_tells_its_scores():
+    done = record(
+        scores={"psnr": 24.061, "ssim": 0.8771, "lpips": None}, seconds={"load": 1.5, "compile": 20.0, "train": 60.0}
+    )
+    outcome = finished(done, "resumed after iteration 9")
+    assert outcome.line == (
+        "tdg on synthetic/orbit, colmap, seed 0: done, PSNR 24.06 dB, SSIM 0.877, LPIPS n/a, trained in 0:01:00 "
+        "(resumed after iteration 9)"
+    )
+    assert outcome.seconds == 61.5  # kernels are compiled once
+
+
+def test_finished_cells_are_those_that_were_asked_for_and_have_a_result(tmp_path):
+    write(tmp_path, variant="all")
+    write(tmp_path, method="3dgs", variant="all")
+    write(tmp_path, seed=1, failure=Failure("train", "ValueError: no", ""))
+    write(tmp_path, seed=2)
+    titles = [f"tdg on RGBT-Scenes/Truck, colmap, seed {seed}" for seed in ("0 [all]", "1", "2")]
+    outcomes = [Outcome("kept", titles[0]), Outcome("ok", titles[1]), Outcome("elsewhere", titles[2])]
+    assert [(one.method, one.seed) for one in finished_records(tmp_path, outcomes)] == [("tdg", 0)]

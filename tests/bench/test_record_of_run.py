@@ -9,8 +9,8 @@ import pytest
 
 from tdgbench.bench.record_of_run import GRAY, state_assumptions, state_values
 from tdgbench.cells.record import PALETTE, read_all, read_record, schema_problems
-from tdgbench.packs.write import private_paths
 from tdgbench.scenes.view_images import PALETTE as OF_SCENES
+from tdgbench.text import absolute_paths
 from tests.helpers.records import record
 
 
@@ -27,7 +27,7 @@ def test_a_record_holds_what_a_scene_states_in_bounded_lines_without_its_folder(
         "view62: orbit is far", "7 more: see tdgbench data check"
     ]  # fmt: skip
     written.write(tmp_path)
-    assert read_record(tmp_path) == written and private_paths((tmp_path / "record.json").read_text()) == []
+    assert read_record(tmp_path) == written and absolute_paths((tmp_path / "record.json").read_text()) == []
 
 
 @pytest.mark.parametrize(

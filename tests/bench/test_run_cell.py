@@ -1,14 +1,12 @@
 import shutil
 
-import numpy as np
 import pytest
 from rich.console import Console
 
 from methods.gaussian_splatting import GaussianSplatting
 from tdgbench.bench import cell_phases
-from tdgbench.bench.lock import cell_lock
 from tdgbench.bench.progress import CellProgress
-from tdgbench.bench.run_cell import run_cell
+from tdgbench.bench.run_cell import cell_lock, run_cell
 from tdgbench.bench.scores import render_views
 from tdgbench.cells.folder import CellFolder, hashes_of_content
 from tdgbench.cells.paths import cell_folder_of
@@ -81,14 +79,6 @@ def test_same_cell_same_bytes_and_is_not_run_twice(tiny_cell):
     again = read_all(tiny_cell.experiment)[0]
     assert hashes_of_content(first.hashes) == hashes_of_content(again.hashes)
     assert first.scores == again.scores and first.key == again.key
-
-
-def test_random_points(tiny_cell):
-    assert tiny_cell("init=random", "init.points.count=200").status == "ok"
-    record = read_all(tiny_cell.experiment)[0]
-    assert record.init == "random" and record.init_points["points"] == 200
-    low, high = np.array(record.init_points["box"])
-    assert (high > low).all()
 
 
 def test_a_failing_cell_becomes_a_record(tiny_cell, small_scene, tmp_path):

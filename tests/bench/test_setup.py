@@ -3,7 +3,6 @@ from contextlib import contextmanager
 from hydra.utils import instantiate
 
 from tdgbench.bench.setup import SetupObserver, loader_of, set_up
-from tdgbench.training.loop import train
 from tdgbench.training.skips import Skips
 from tests.helpers.configs import SMALL, config
 
@@ -17,17 +16,6 @@ def test_gray_scenes_have_three_channels_without_the_skip(data_root):
     assert loader_of(twice, Skips(gray=False)).inner.inner.options.channels == 3
     forced = config(*SMALL, f"data.root={data_root}", "scene=turntable", "data.channels=1")
     assert loader_of(forced, Skips(gray=False)).options.channels == 1
-
-
-def test_a_method_is_ready_to_train(data_root):
-    cfg = config(*SMALL, f"data.root={data_root}", "scene=turntable", "prior=synthetic", "budget=demo",
-                 "budget.iterations=2")  # fmt: skip
-    scene = instantiate(cfg.dataset.loader).load(cfg.scene)
-    trainer, scored, _ = set_up(cfg, scene)
-    context = trainer.whole_context
-    assert len(trainer.gaussians["thermal"]) == 300 and len(trainer.method.targets) == len(scene.train)
-    assert context.budget == instantiate(cfg.budget) and context.scene is scored is scene and context.seed == cfg.seed
-    assert train(trainer).iterations == 2
 
 
 class Watch(SetupObserver):

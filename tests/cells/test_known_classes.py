@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 from pathlib import Path
@@ -15,7 +14,7 @@ from tdgbench.cells import known_classes
 from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.key import cell_key
 from tdgbench.cells.known_classes import UnknownMethodError, built, method_of
-from tdgbench.cells.record import Record, read_record
+from tdgbench.cells.record import read_record
 from tests.helpers.command import tdgbench, tdgbench_here
 
 CELL = "results/theirs/cells/tdg/synthetic/turntable/colmap/seed0"
@@ -140,12 +139,3 @@ def test_what_is_built_is_known_down_to_the_last_option():
     for inner in ({"_target_": "os.system"}, {**options, "_partial_": True}, {"_args_": [1]}, [{"_target_": "a.B"}]):
         with pytest.raises(ValueError, match="which is not known"):
             built({**loader, "options": inner}, known)
-
-
-def test_every_method_of_ours_is_known():
-    records = [Record(name, "", "", "", 0, "", "") for name in ("tdg", "msmg")]
-    for record in records:
-        target = f"methods.{record.method}.{'TDg' if record.method == 'tdg' else 'MSMG'}"
-        record.config = json.loads(json.dumps({"method": {"method": {"_target_": target, "nothing": 1}}}))
-        with pytest.raises(ValueError, match="cannot be made as in its record"):
-            method_of(record)

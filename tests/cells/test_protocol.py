@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from tdgbench.cells.key import relevant_config
-from tdgbench.cells.protocol import VERSION, protocol_of, protocol_settings, protocols_apart
+from tdgbench.cells.protocol import VERSION, protocol_of
 from tdgbench.cells.record import read_all
 from tdgbench.scoring import backbones
 from tdgbench.scoring.backbones import TrunkSpec
@@ -16,7 +16,7 @@ from tdgbench.tables.build import build_tables
 from tdgbench.tables.long_table import protocol_notes
 from tdgbench.verify.record_problems import key_problems
 from tests.helpers.configs import config
-from tests.helpers.records import record, write
+from tests.helpers.records import write
 
 
 def name_of(*overrides: str) -> str:
@@ -57,11 +57,6 @@ def test_weights_of_one_s_own_are_part_of_it_by_content(tmp_path, monkeypatch):
     assert name_of(f"metrics.lpips.weights={a}") == name_of() != name_of(f"metrics.lpips.weights={b}")
 
 
-def test_settings_have_the_names_of_the_command_line():
-    settings = protocol_settings(relevant_config(config(), type("Method", (), {"needs_prior": True})))
-    assert {"data.split", "data.width", "metrics.ssim_border", "metrics.lpips.net"} <= settings.keys()
-
-
 def test_records_state_it_and_verify_checks_it(small_results):
     for finished in (r for r in read_all(small_results) if r.failure is None):
         assert finished.protocol == protocol_of(finished.config) and finished.protocol.startswith(f"{VERSION}-")
@@ -93,9 +88,3 @@ def test_columns_of_several_protocols_are_named(tmp_path):
     assert not tables.problems
     (note,) = (note for note in protocol_notes(tables.main) if "several protocols" in note)
     assert "tdg [metrics=a]" in note and configured("valid")["protocol"] in note
-
-
-def test_the_number_alone_tells_protocols_apart():
-    old, new = record(protocol="1-a"), record(protocol="2-a")
-    assert protocols_apart(old, new) == "number of the protocol: 1, 2"
-    assert protocols_apart(old, record(protocol="1-a")) == ""

@@ -37,11 +37,6 @@ def test_this_version_has_stored_records():
     assert {path.stem for path in RELEASED if path.parent.name == __version__} == {"failed", "finished"}
 
 
-def test_titles():
-    assert record().title == "tdg on synthetic/orbit, colmap, seed 0"
-    assert record(variant="a=1").title.endswith("[a=1]")
-
-
 def test_nan_is_refused(tmp_path):
     with pytest.raises(ValueError, match="JSON"):
         record(scores={"psnr": float("nan")}).write(tmp_path)

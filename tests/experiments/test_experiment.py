@@ -10,8 +10,8 @@ from unittest import mock
 import pytest
 from omegaconf import OmegaConf
 
+from tdgbench.bench.failures import error_message
 from tdgbench.bench.options import OptionError
-from tdgbench.experiments.error_message import error_message
 from tdgbench.experiments.experiment import check_results_folder, experiment_of
 from tests.helpers.command import command_here
 from tests.helpers.configs import config
@@ -135,12 +135,6 @@ def test_options_that_the_experiment_sets_itself_are_refused(experiment, word, i
     with pytest.raises(OptionError) as error:
         experiment_of(config(f"+experiment={experiment}")).check_typed(["data.width=64", word])
     assert str(error.value).startswith(f"{word}: is set by the experiment; give {instead}")
-
-
-def test_a_typed_option_is_refused_before_a_run(tmp_path):
-    run = command_here(tmp_path, "+experiment=skips", "seed=3")
-    assert run.returncode == 1 and run.stdout == ""
-    assert run.stderr.startswith("error: seed=3: is set by the experiment; give study.seeds=[0,...]"), run.stderr
 
 
 def test_a_sweep_whose_jobs_would_replace_one_another_is_refused(tmp_path):

@@ -1,7 +1,7 @@
 import pandas as pd
 import pytest
 
-from tdgbench.bench.outcome import Outcome
+from tdgbench.bench.progress import Outcome
 from tdgbench.cells.record import Record
 from tdgbench.experiments import matrix
 from tdgbench.experiments.matrix import AxisValue, Matrix, groups_of, table_of, values_of

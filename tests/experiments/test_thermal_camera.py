@@ -1,15 +1,11 @@
-import sys
-
 import numpy as np
 import pandas as pd
 import pytest
 
 from tdgbench.cells.record import Record
-from tdgbench.experiments.thermal_camera import SHOWN, ThermalCameraExperiment, camera_errors, summary
-from tdgbench.priors import PriorUnavailableError
+from tdgbench.experiments.thermal_camera import ThermalCameraExperiment, camera_errors, summary
 from tdgbench.scenes.synthetic import ThermalErrors
 from tdgbench.scenes.synthetic.capture import CameraTruth
-from tdgbench.tables.show import format_columns
 from tdgbench.thermal.camera import normalized_truth
 from tdgbench.thermal.maps import TERMS, legendre_basis
 from tests.helpers.configs import config
@@ -96,32 +92,6 @@ def test_a_capture_in_colour_fails_with_a_reason_and_the_status_is_1(tmp_path, d
     assert "pseudo-colour" in capsys.readouterr().out
 
 
-def test_the_prior_is_asked_for_by_methods_that_need_it_alone(monkeypatch):
-    for name in ("transformers", "diffusers"):
-        monkeypatch.setitem(sys.modules, name, None)
-    real = ("+experiment=thermal_camera", "dataset=folder", "prior=marigold")
-    ThermalCameraExperiment().start(config(*real, *FEW))
-    with pytest.raises(PriorUnavailableError, match="marigold"):
-        ThermalCameraExperiment().start(config(*real))
-
-
-def test_records_of_other_runs_have_no_part(finished):
-    """Another seed and another drift in the same folder: rows of the second run alone."""
-    root = finished.parents[1]
-    cfg = config(
-        "+experiment=thermal_camera", *SMALL, *FEW, f"data.root={root}", f"results={root / 'results'}",
-        "study.seeds=[1]", "study.captures.drift.walk_degC=1", "~study.captures.agc",
-        "~study.thermal_cameras.estimated",
-    )  # fmt: skip
-    before = {path.name: path.read_bytes() for path in finished.iterdir() if path.is_file()}
-    ThermalCameraExperiment().run(cfg)
-    table = pd.read_csv(finished / "thermal_camera.csv", na_values="n/a")
-    assert list(table["capture"]) == ["clean", "drift"] and (table["seeds"] == 1).all()
-    assert 0.3 < table["offset_degC_worst"][1] < 1.1
-    for name, content in before.items():
-        (finished / name).write_bytes(content)
-
-
 SCORES = {
     ("clean", "ideal"): 40.0,
     ("clean", "estimated"): 39.0,
@@ -154,17 +124,6 @@ def test_little_lost_has_no_share():
     assert summary(cells(scores), "clean", "ideal")["recovered"].isna().all()
 
 
-def test_rows_stand_in_the_order_of_the_cells():
-    table = summary(cells(dict(reversed(SCORES.items()))), "clean", "ideal")
-    assert list(zip(table["capture"], table["thermal_camera"], strict=True)) == list(reversed(SCORES))
-
-
-def test_numbers_that_are_missing_are_shown_as_such():
-    shown = format_columns(summary(cells(seeds=(0,)), "clean", "ideal"), SHOWN)
-    assert shown["right half"].tolist() == ["n/a"] * 4 and shown["±"].tolist() == ["n/a"] * 4
-    assert shown["recovered"].tolist() == ["n/a"] * 3 + ["80%"]
-
-
 def test_a_seed_without_its_baseline_has_no_part():
     some = cells()
     without = some[~((some["capture"] == "clean") & (some["thermal_camera"] == "ideal") & (some["seed"] == 1))].copy()
@@ -190,12 +149,6 @@ def record(**camera) -> Record:
 def facts(offsets, gains, reference=20.0, views=NAMES):
     return {"views": views, "reference": reference, "offsets": list(offsets), "gains": list(gains),
             "vignette": [0.0] * len(TERMS)}  # fmt: skip
-
-
-def test_a_camera_that_is_found_has_no_errors():
-    true = truth()
-    found = facts(true.camera.offsets, true.camera.gains, true.camera.reference)
-    assert max(camera_errors(record(estimated=found), true, NAMES).values()) < 1e-9
 
 
 def test_a_vignette_that_is_found_has_no_errors():

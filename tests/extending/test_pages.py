@@ -6,7 +6,6 @@ import json
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -20,9 +19,9 @@ from tdgbench.cells.record import Record, read_all, read_each
 from tdgbench.priors import DepthPrior, PriorError
 from tdgbench.scenes import FolderDataset, ReadOptions, Scene
 from tdgbench.scenes.layouts import LAYOUTS
-from tdgbench.scoring import metrics
 from tdgbench.splats.backends import backend_names, load_backend
 from tdgbench.splats.ply import load_ply
+from tdgbench.tables import measures
 from tdgbench.tables.build import build_tables
 from tdgbench.verify.cell import verify_cell
 from tests.helpers.command import tdgbench_here
@@ -191,43 +190,71 @@ def test_density_rule(page, data_root):
     assert rounds == [600, 700, 900, 1300, 2100, 3700, 6900, 13300]
 
 
-# `tdgbench`, whose package of metrics has a second folder
-EXTENDED = """
-import sys
-from types import ModuleType
-
-package = sys.modules["tdgbench.scoring.metrics"] = ModuleType("tdgbench.scoring.metrics")
-package.__path__ = [sys.argv.pop(1), "tdgbench/scoring/metrics"]
-from tdgbench.__main__ import main
-
-sys.exit(main())
-"""
+@pytest.fixture
+def as_before():
+    """Forget the metrics that tables learn of, as a process does at its end."""
+    kept = [(one, one.copy()) for one in (measures.MEASURES, measures.EXTRA, measures.TRAINING)]
+    yield
+    for one, before in kept:
+        one.clear()
+        one.update(before) if isinstance(one, dict) else one.extend(before)
 
 
+@pytest.mark.usefixtures("as_before")
 def test_metric(page, data_root):
     metric = page("metric")
-    environment = {"PYTHONPATH": str(ROOT), "PATH": "", "HOME": str(Path.home()), "COLUMNS": "200"}
-
-    def run(*arguments: str) -> str:
-        """Output of `tdgbench` with the page's file among the metrics, which a process finds once."""
-        done = subprocess.run(
-            [sys.executable, "-c", EXTENDED, metrics.__path__[0], *arguments], cwd=metric.folder, env=environment,
-            capture_output=True, text=True, timeout=300,
-        )  # fmt: skip
-        assert done.returncode == 0, done.stderr[-3000:]
-        return done.stdout
-
-    ((_, *words),) = metric.commands
-    run(*words, f"data.root={data_root}", *QUICK)
+    train, tables, score, verify = (words[1:] for words in metric.commands)
+    chosen = ("--config-dir", "yaml", "metrics=edges", train[0], train[1])
+    assert tdgbench_here(metric.folder, *chosen, f"data.root={data_root}", *QUICK).returncode == 0
+    (record,) = records(metric)
     views = pd.read_csv(next((metric.folder / "results").rglob("views.csv")))
     assert (views["edge_psnr"] > views["psnr"]).all()
-    (record,) = records(metric)
     assert views["edge_psnr"].mean() == pytest.approx(record.scores["edge_psnr"])
-    main = pd.read_csv(metric.folder / "results/single/tables/main.csv")
-    assert main[main["metric"] == "edge_psnr"]["value"].notna().all()
     report = (metric.folder / "results/single/report.html").read_text(encoding="utf-8")
     assert "edge PSNR, dB ↑" in report and "PSNR of horizontal and vertical differences" in report
-    assert "1 cell, 0 problems" in run("verify", "results/single").replace("\n", " ")
+    again = tdgbench_here(metric.folder, *train, f"data.root={data_root}", *QUICK)
+    assert "already there" in again.stderr
+    source = metric.folder / "edges.py"
+
+    def lines(words: list[str], status: int = 0) -> str:
+        """Output of a command in a process without the metric's module."""
+        metric.forget_modules()
+        done = tdgbench_here(metric.folder, *words)
+        assert done.returncode == status, done.stderr + done.stdout
+        return (done.stdout + done.stderr).replace("\n", " ")
+
+    text = source.read_text(encoding="utf-8")
+    source.unlink()
+    assert "edge PSNR" in lines(tables)
+    main = pd.read_csv(metric.folder / "results/single/tables/main.csv")
+    assert main[main["metric"] == "edge_psnr"]["value"].notna().all()
+    unknown = lines(verify[:2], 1)
+    assert "metric edges.EDGE_PSNR is none of tdgbench's and was not run" in unknown and "1 problem" in unknown
+    source.write_text(text, encoding="utf-8")
+    assert "1 cell, 0 problems" in lines(verify)
+    source.write_text(text.replace("psnr(edges, target_edges)", "psnr(edges, target_edges) + 1"), encoding="utf-8")
+    assert "edge_psnr is" in lines([*verify[:2], "--config-dir", "yaml"], 1)  # its pictures give another value
+    assert "lpips, edge_psnr, rgb_lpips computed" in lines([*score, "metrics.lpips.download=false"])
+    (scored,) = records(metric, "edges")
+    assert scored.scores["edge_psnr"] == pytest.approx(record.scores["edge_psnr"] + 1)
+    assert (scored.protocol, scored.scores["psnr"]) == (record.protocol, record.scores["psnr"])
+    changed = tdgbench_here(metric.folder, *train, f"data.root={data_root}", *QUICK)
+    assert "the code changed" in changed.stdout + changed.stderr
+
+
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("EDGE_PSNR = 1", "is no ImageMetric and no ViewMetric"),
+        ("raise OSError('no camera')", "cannot be imported (OSError: no camera)"),
+        ("from tdgbench.scoring.metrics.psnr import PSNR as EDGE_PSNR", "there is another metric psnr"),
+    ],
+)
+def test_unusable_metrics(page, data_root, code, reason):
+    metric = page("metric")
+    (metric.folder / "edges.py").write_text(code, encoding="utf-8")
+    done = tdgbench_here(metric.folder, *metric.commands[0][1:], f"data.root={data_root}", *QUICK)
+    assert done.returncode == 1 and reason in done.stderr and not list(metric.folder.rglob("record.json"))
 
 
 def test_table_column(page, small_results):

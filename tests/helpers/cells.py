@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from omegaconf import DictConfig
 from rich.console import Console
@@ -10,11 +12,20 @@ from tdgbench.bench.progress import CellProgress
 from tdgbench.bench.run_cell import Outcome, run_cell
 from tdgbench.cells.record import read_all
 from tdgbench.training.checkpoint import Checkpoint
+from tests.helpers.configs import SMALL, config
 
 
 def run_quietly(cfg: DictConfig, variant: str = "") -> Outcome:
     """Run a cell that prints nothing."""
     return run_cell(cfg, variant, CellProgress(Console(quiet=True), 1))
+
+
+def small_cells(results: Path, data_root: Path, *cells: tuple[str, ...], status: str = "ok") -> Path:
+    """Run small cells, one for each of these overrides; return the experiment's folder."""
+    words = (*SMALL, "budget=demo", "budget.iterations=30", "prior=synthetic", f"data.root={data_root}")
+    for overrides in cells:
+        assert run_quietly(config(*words, f"results={results}", *overrides)).status == status
+    return results / "single"
 
 
 def statuses(experiment) -> list[str]:

@@ -14,8 +14,11 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 from PIL import Image
+from plyfile import PlyData, PlyElement
 
 from tdgbench.scenes import Scene, View
+from tdgbench.scenes.colmap import write_model as write_pinholes
+from tdgbench.scenes.synthetic.capture import CameraTruth, TrueCamera
 from tests.helpers.flir import FlirCamera, write_flir
 
 DISTORTIONS = {"SIMPLE_PINHOLE": [], "PINHOLE": [], "SIMPLE_RADIAL": [0.05], "OPENCV": [0.05, 0.01, 0.002, -0.001]}
@@ -28,6 +31,13 @@ def celsius(view: View, scene: Scene) -> np.ndarray:
     """Temperatures (H, W) float32 of a view, °C."""
     span = scene.temperature
     return (span.min + view.thermal.mean(axis=2) * (span.max - span.min)).astype(np.float32)
+
+
+def read_truth(folder: Path) -> CameraTruth:
+    """The true thermal camera that a synthetic scene's folder holds."""
+    with np.load(folder / "camera" / "camera.npz") as file:
+        stored = dict(file)
+    return CameraTruth(stored.pop("names").tolist(), TrueCamera(**stored))
 
 
 def write_thermalmix(
@@ -165,28 +175,14 @@ def write_mask(folder: Path, name: str, valid: np.ndarray) -> None:
 def write_model(scene: Scene, folder: Path, camera: str, suffix: str) -> None:
     """A binary COLMAP model of a scene's views, and of the view LOST, with a camera of the given model."""
     first = scene.views[0].camera
-    (fx, fy), (cx, cy) = first.K.diagonal()[:2], first.K[:2, 2]
-    focal = [fx] if camera.startswith("SIMPLE") else [fx, fy]
-    reconstruction = pycolmap.Reconstruction()
-    reconstruction.add_camera_with_trivial_rig(
-        pycolmap.Camera(
-            model=camera,
-            width=first.width,
-            height=first.height,
-            params=[*focal, cx, cy, *DISTORTIONS[camera]],
-            camera_id=1,
-        )
-    )
-    posed = [(view.name, view.camera) for view in scene.views]
-    for number, (name, one) in enumerate([*posed, (LOST, first)], start=1):
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(one.world_to_camera[:3, :3]), one.world_to_camera[:3, 3])
-        image = pycolmap.Image(name=f"{name}{suffix}", camera_id=1, image_id=number)
-        reconstruction.add_image_with_trivial_frame(image, pose)
-    colors = np.round(scene.points.colors * 255).astype(np.uint8)
-    for xyz, color in zip(scene.points.points, colors, strict=True):
-        reconstruction.add_point3D(xyz, pycolmap.Track(), color)
-    folder.mkdir(parents=True)
-    reconstruction.write_binary(str(folder))
+    posed = [*((view.name, view.camera) for view in scene.views), (LOST, first)]
+    write_pinholes(folder, [(f"{name}{suffix}", one) for name, one in posed], scene.points)
+    if camera != "PINHOLE":
+        model = pycolmap.Reconstruction(str(folder))
+        (one,) = model.cameras.values()
+        focal = first.K.diagonal()[: 1 if camera.startswith("SIMPLE") else 2]
+        one.model, one.params = getattr(pycolmap.CameraModelId, camera), [*focal, *first.K[:2, 2], *DISTORTIONS[camera]]
+        model.write_binary(str(folder))
 
 
 def write_stored(scene: Scene, folder: Path, stored: Callable[[np.ndarray], np.ndarray], suffix: str = ".tiff") -> Path:
@@ -200,12 +196,9 @@ def write_stored(scene: Scene, folder: Path, stored: Callable[[np.ndarray], np.n
 
 def write_ply(path: Path, xyz: np.ndarray, colors: np.ndarray) -> None:
     """Points as nerfstudio's `create_ply_from_colmap` writes them: text, float positions, 8-bit colours."""
-    header = ["ply", "format ascii 1.0", f"element vertex {len(xyz)}"]
-    header += [f"property float {axis}" for axis in "xyz"]
-    header += [f"property uint8 {channel}" for channel in ("red", "green", "blue")]
-    levels = np.round(colors * 255).astype(int)
-    rows = [f"{x:8f} {y:8f} {z:8f} {r} {g} {b}" for (x, y, z), (r, g, b) in zip(xyz, levels, strict=True)]
-    path.write_text("\n".join([*header, "end_header", *rows, ""]), encoding="utf-8")
+    columns = [*((axis, "f4") for axis in "xyz"), *((channel, "u1") for channel in ("red", "green", "blue"))]
+    rows = np.array([(*p, *c) for p, c in zip(xyz, np.round(colors * 255), strict=True)], columns)
+    PlyData([PlyElement.describe(rows, "vertex")], text=True).write(path)
 
 
 @dataclass(frozen=True)

@@ -28,12 +28,6 @@ def test_fifty_copies_stay_finite():
     assert torch.isfinite(opacity).all() and (factor > 0).all() and (factor <= 1).all()
 
 
-def test_the_copies_look_like_the_one_they_share_from():
-    """Along a ray through the centre, N copies let through what one did."""
-    opacity, _ = relocated(torch.tensor([0.8]), torch.tensor([4]))
-    assert (1 - opacity.item()) ** 4 == pytest.approx(0.2, rel=1e-5)
-
-
 @pytest.fixture
 def model(small_gray_scene):
     return ready_to_train(small_gray_scene, "3dgs", 100, *MCMC).method.model
@@ -51,11 +45,6 @@ def test_a_round_moves_the_dead_and_grows_to_the_limit(model):
     places = {tuple(mean) for mean in before[~dead].tolist()}
     assert {tuple(mean) for mean in after.means.tolist()} <= places  # where dead ones were nothing is left
     assert (after.opacities > model.density.rules.min_opacity * 0.999).all()
-
-
-def test_there_are_no_rounds_beside_their_iterations(model):
-    assert not model.density.update(model.optimizer, 11, torch.Generator()).densified
-    assert not model.density.update(model.optimizer, 5, torch.Generator()).densified
 
 
 def test_noise_moves_transparent_gaussians_along_their_axes(model):
@@ -110,13 +99,6 @@ def test_what_is_not_rendered_is_not_moved(model):
     model.begin(3)
     model.step(3)
     assert torch.equal(model.gaussians.means, before)
-
-
-def test_steps_of_all_gaussians_are_counted(small_gray_scene):
-    trainer = ready_to_train(small_gray_scene, "3dgs", 10, *MCMC)
-    train(trainer)
-    work = trainer.method.model.work
-    assert work.touched == work.rows > 0
 
 
 def test_lean_grows_by_the_limit_alone():

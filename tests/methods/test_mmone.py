@@ -7,7 +7,6 @@ import torch
 
 from methods.mmone import OPACITY_RGB, SH_RGB, as_rgb
 from tdgbench.splats.backends import load_backend
-from tdgbench.splats.density import DensityChange
 from tdgbench.splats.view import Pinhole, RenderOptions
 from tdgbench.training.images import RGB, THERMAL
 from tdgbench.training.losses import photometric, thermal_loss
@@ -22,25 +21,6 @@ NEVER = "budget.density.opacity_reset_every=100000"
 def opacities(model) -> tuple[torch.Tensor, torch.Tensor]:
     """Return those of RGB and of thermal images (N,)."""
     return model.gaussians.extra_fields[OPACITY_RGB].sigmoid().squeeze(1), model.gaussians.opacities
-
-
-@pytest.fixture
-def model(small_gray_scene):
-    """Return Gaussians whose modalities pull them apart, all of them small and opaque, before a round."""
-    model = ready_to_train(small_gray_scene, "mmone", 1000).method.model
-    model.gaussians.opacity_logits[:] = 1.0
-    model.gaussians.extra_fields[OPACITY_RGB][:] = 1.0
-    model.gaussians.log_scales[:] = -12.0
-    model.density.view_counts[:] = 2
-    model.density.grad_sum[:] = 2 * 3e-4
-    model.density.rgb_sum[:, 0] = 2 * 3e-4
-    return model
-
-
-def round_of(model, decision=None, **rules) -> DensityChange:
-    model.density.rules = replace(model.density.rules, **rules)
-    iteration = next(i for i in range(1, 1000) if model.density.is_round(i))
-    return model.density.update(model.optimizer, iteration, torch.Generator().manual_seed(0), decision)
 
 
 def test_both_modalities_start_alike(small_scene):
@@ -93,20 +73,6 @@ def test_loss_and_gradients_are_those_of_the_reference(small_gray_scene):
         assert relative(ours.reshape(theirs.shape), theirs.grad) < 1e-5, name
 
 
-@pytest.mark.parametrize("reading", ["released", "described"])
-def test_a_decomposed_gaussian_keeps_or_loses_its_thermal_part(model, reading):
-    count = len(model)
-    change = round_of(model, decompose=reading)
-    assert (change.cloned, change.split, change.pruned) == (count, 0, 0) and len(model) == 2 * count
-    rgb, thermal = opacities(model)
-    is_copy = torch.isclose(rgb, torch.tensor(OFF))
-    assert int(is_copy.sum()) == count and (thermal[is_copy] > 0.7).all() and (rgb[~is_copy] > 0.7).all()
-    if reading == "released":
-        assert (thermal[~is_copy] > 0.7).all()
-    else:
-        assert torch.allclose(thermal[~is_copy], torch.tensor(OFF))
-
-
 def test_a_switched_off_opacity_stays_off(small_gray_scene):
     """Without gradient, and without moments that go on moving it."""
     often = ("budget.density.start=5", "budget.density.every=10", "budget.density.stop=12", NEVER)
@@ -117,54 +83,21 @@ def test_a_switched_off_opacity_stays_off(small_gray_scene):
         assert int((off - OFF).abs().lt(1e-6).sum()) > 50
 
 
-@pytest.mark.parametrize(
-    "changes, cloned",
-    [
-        ({}, "all"),
-        ({"decompose_threshold": 3.1e-4}, "as usual"),
-        ({"active_opacity": 0.8}, "as usual"),
-        ({"max_gaussians": 5000}, "all"),
-        ({"decompose_threshold": 3.1e-4, "grad_threshold": 3.1e-4}, "none"),
-    ],
-)
-def test_what_is_decomposed(model, changes, cloned):
-    """The others are cloned, with both opacities."""
+def test_growth_ends_at_the_limit(small_gray_scene):
+    """Modalities pull half of the Gaussians apart, which are copied; the others are cloned as far as the limit."""
+    model = ready_to_train(small_gray_scene, "mmone", 1000).method.model
+    model.gaussians.opacity_logits[:] = 1.0
+    model.gaussians.extra_fields[OPACITY_RGB][:] = 1.0
+    model.gaussians.log_scales[:] = -12.0
+    model.density.view_counts[:] = 2
+    model.density.grad_sum[:] = 2 * 3e-4
     count = len(model)
-    assert round_of(model, **changes).cloned == (0 if cloned == "none" else count)
-    off = [int((of < 0.01).sum()) for of in opacities(model)]
-    assert off == [count if cloned == "all" else 0, 0]
-
-
-def test_single_parts_are_not_decomposed(model):
-    model.gaussians.extra_fields[OPACITY_RGB][:] = -5.8  # 1/331
-    round_of(model)
-    assert float(model.gaussians.extra_fields[OPACITY_RGB].max()) < -5.7 and len(model) > 0
-
-
-def test_growth_ends_at_the_limit(model):
-    count = len(model)
-    model.density.rgb_sum[count // 2 :] = 0  # these are cloned
-    assert round_of(model, max_gaussians=count + count // 2 + 10).cloned == count // 2 + 10
-    assert len(model) == count + count // 2 + 10
-
-
-@pytest.mark.parametrize(
-    "rgb, thermal, kept, stays",
-    [(0.004, 0.6, 0.5, True), (0.004, 0.4, 0.5, False), (0.4, 0.004, 0.5, False), (0.4, 0.004, 0.3, True),
-     (0.006, 0.006, 0.5, True)],
-)  # fmt: skip
-@pytest.mark.parametrize("decompose", ["released", "described"])
-def test_pruning_spares_what_one_modality_needs(model, rgb, thermal, kept, stays, decompose):
-    count, all_of = len(model), model.gaussians
-    model.density.grad_sum[:] = 0
-    all_of.extra_fields[OPACITY_RGB][0], all_of.opacity_logits[0] = torch.tensor([rgb, thermal]).logit()
-    change = round_of(model, kept_opacity=kept, decompose=decompose)
-    assert change.pruned == (not stays) and len(model) == count - change.pruned
-    if stays:
-        found = [float(of.min()) for of in opacities(model)]
-        expected = [OFF if decompose == "described" and min(rgb, thermal) < 0.005 and of < 0.005 else of for of in
-                    (rgb, thermal)]  # fmt: skip
-        assert found == pytest.approx([min(of, 0.7310586) for of in expected], rel=1e-5)
+    model.density.rgb_sum[: count // 2, 0] = 2 * 3e-4
+    model.density.rules = replace(model.density.rules, max_gaussians=count + count // 2 + 10)
+    iteration = next(i for i in range(1, 1000) if model.density.is_round(i))
+    change = model.density.update(model.optimizer, iteration, torch.Generator().manual_seed(0))
+    assert change.cloned == count // 2 + 10 and len(model) == count + count // 2 + 10
+    assert int((opacities(model)[0] < 0.01).sum()) == count // 2
 
 
 def test_a_reset_lowers_both_opacities_and_neither_takes_a_step(small_gray_scene):
@@ -178,26 +111,6 @@ def test_a_reset_lowers_both_opacities_and_neither_takes_a_step(small_gray_scene
 
     train(trainer, after_iteration=look)
     assert all(float(of.max()) == pytest.approx(0.01, rel=1e-5) for of in seen)
-
-
-def test_a_training_decomposes(small_gray_scene):
-    trainer = ready_to_train(small_gray_scene, "mmone", 60, *OFTEN, NEVER)
-    train(trainer)
-    rgb, thermal = opacities(trainer.method.model)
-    assert int((rgb < 0.01).sum()) > 0 and not torch.equal(rgb, thermal)
-
-
-@pytest.mark.parametrize("background", ["black", "mean"])
-def test_rgb_is_rendered_over_black(small_gray_scene, background):
-    trainer = ready_to_train(small_gray_scene, "mmone", 3, f"budget.background={background}")
-    train(trainer)
-    model = trainer.method.model
-    model.gaussians.opacity_logits.fill_(-20)
-    model.gaussians.extra_fields[OPACITY_RGB].fill_(-20)
-    frame = trainer.context.frame(small_gray_scene.test[0])
-    rgb, gray = trainer.method.render(frame, "rgb").image, trainer.method.render(frame)
-    assert rgb.shape[2] == 3 and float(rgb.max()) == 0 and gray.depth is not None
-    assert float(gray.image.max()) == (0 if background == "black" else pytest.approx(model.background.item()))
 
 
 def test_another_density_control_is_refused(small_gray_scene):

@@ -1,12 +1,13 @@
-"""OMMG: one geometry, two colour sets, and the gradient that density control reads."""
+"""OMMG: one geometry, two colour sets, and the gradient that density control reads; RGB renders of MMOne, too."""
 
 import pytest
 import torch
 
-from methods.ommg import SH_RGB, with_both_colors, with_rgb_colors
+from methods.mmone import OPACITY_RGB
+from methods.ommg import with_both_colors, with_rgb_colors
 from tdgbench.training.images import RGB
 from tdgbench.training.losses import photometric, thermal_loss
-from tests.helpers.training import OFTEN, ready_to_train, take_gradients, train
+from tests.helpers.training import ready_to_train, take_gradients, train
 
 
 @pytest.mark.parametrize("scene", ["small_gray_scene", "small_scene"])
@@ -19,16 +20,6 @@ def test_the_loss_is_half_of_both(scene, request):
     expected = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], 0.2).item()
     expected += thermal_loss(step.render.image, step.target, 0.2, 0.6, "released").item()
     assert step.loss.item() == pytest.approx(expected / 2, rel=1e-5)
-
-
-def test_both_colour_sets_start_from_the_points_and_are_cloned_together(small_scene):
-    trainer = ready_to_train(small_scene, "ommg", 60, *OFTEN)
-    model = trainer.method.model
-    assert torch.equal(model.gaussians.sh, model.gaussians.extra_fields[SH_RGB])
-    before = len(model)
-    train(trainer)
-    assert len(model) > before and len(model.gaussians.extra_fields[SH_RGB]) == len(model)
-    assert not torch.equal(model.gaussians.sh, model.gaussians.extra_fields[SH_RGB])
 
 
 def test_density_control_reads_one_gradient_of_the_sum(small_gray_scene):
@@ -51,13 +42,15 @@ def test_density_control_reads_one_gradient_of_the_sum(small_gray_scene):
     assert torch.allclose(both, gray + rgb, rtol=1e-3, atol=1e-5 * float(both.abs().max()))
 
 
+@pytest.mark.parametrize("name", ["ommg", "mmone"])
 @pytest.mark.parametrize("background", ["black", "mean"])
-def test_rgb_is_rendered_over_black(small_gray_scene, background):
-    trainer = ready_to_train(small_gray_scene, "ommg", 3, f"budget.background={background}")
+def test_rgb_is_rendered_over_black(small_gray_scene, background, name):
+    trainer = ready_to_train(small_gray_scene, name, 3, f"budget.background={background}")
     train(trainer)
     model = trainer.method.model
-    model.gaussians.opacity_logits.fill_(-20)  # nothing but the background is left
+    for logits in (model.gaussians.opacity_logits, model.gaussians.extra_fields.get(OPACITY_RGB, torch.zeros(0))):
+        logits.fill_(-20)  # nothing but the background is left
     frame = trainer.context.frame(small_gray_scene.test[0])
-    rgb, gray = trainer.method.render(frame, "rgb").image, trainer.method.render(frame).image
-    assert rgb.shape[2] == 3 and float(rgb.max()) == 0
-    assert float(gray.max()) == (0 if background == "black" else pytest.approx(model.background.item()))
+    rgb, gray = trainer.method.render(frame, "rgb").image, trainer.method.render(frame)
+    assert rgb.shape[2] == 3 and float(rgb.max()) == 0 and gray.depth is not None
+    assert float(gray.image.max()) == (0 if background == "black" else pytest.approx(model.background.item()))

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from methods.tdg import DepthTarget, comparable_depth, decay_weight, switch_weight
+from methods.tdg import DepthTarget, comparable_depth, decay_weight
 from methods.tdg import depth_loss as loss_against
 from tdgbench.priors import DepthPrior
 from tdgbench.splats.torch_losses import ssim_map
@@ -87,10 +87,6 @@ def test_total_is_the_sum_of_its_terms(small_scene):
 @pytest.mark.parametrize("end", [0, 1, 2])
 def test_a_weight_that_ends_at_once_is_zero(end):
     assert [decay_weight(iteration, 1, end) for iteration in (1, 2, 3)] == [1.0 if end == 2 else 0.0, 0.0, 0.0]
-
-
-def test_a_switch_is_hard():
-    assert [switch_weight(t, 501) for t in (1, 500, 501)] == [1.0, 1.0, 0.0]
 
 
 @pytest.mark.parametrize("scene_of", ["small_scene", "small_gray_scene"])

@@ -3,9 +3,7 @@
 import pytest
 import torch
 
-from methods.veta_gs import direction_of, edge_map, principal_axes, stretched_rotations
-from tdgbench.splats.geometry import rotation_matrices
-from tdgbench.splats.view import Pinhole
+from methods.veta_gs import edge_map, principal_axes
 from tdgbench.training.losses import l1_and_dssim, photometric
 from tests.helpers.configs import config
 from tests.helpers.masks import masked_scene
@@ -83,10 +81,6 @@ def test_time_has_noise_until_its_end(method, monkeypatch):
     assert sorted(left) == sorted(2 * list(range(1, views + 1)))
 
 
-def test_noise_falls_and_is_larger_with_fewer_views_left(method):
-    assert method.noise_at(4, 5) == pytest.approx(method.time_noise * (1 - 4 / 20) / 5)
-
-
 def test_the_loss_has_the_feature_term_from_its_start_on(method):
     for iteration in (20, 21):
         step = method.step(iteration)
@@ -107,38 +101,6 @@ def test_masked_pixels_have_no_part_in_the_feature_term(small_gray_scene, monkey
     assert masks and len(given) == 2
     for (image, target), valid in zip(given[-len(masks) :], masks, strict=True):
         assert image[valid].abs().max() > 0 and not image[~valid].any() and not target[~valid].any()
-
-
-def test_the_direction_is_a_unit_vector():
-    turn = rotation_matrices(torch.tensor([[0.9, 0.2, -0.3, 0.1]], dtype=torch.float64))[0]
-    viewmat = torch.eye(4, dtype=torch.float64)
-    viewmat[:3, :3] = turn
-    direction = direction_of(Pinhole(viewmat, torch.eye(3).double(), 8, 8))
-    assert torch.allclose(direction, turn @ torch.tensor([0.0, 0.0, -1.0]).double())
-
-
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-def test_principal_axes_pass_values_and_gradients_of_covariances(dtype):
-    g = torch.Generator().manual_seed(4)
-    quats, scales = torch.randn(60, 4, generator=g, dtype=dtype), torch.rand(60, 3, generator=g, dtype=dtype) - 0.3
-    matrices = (stretched_rotations(quats) * scales[:, None]).requires_grad_()
-    weights = torch.randn(60, 3, 3, generator=g, dtype=dtype)
-    covariances = matrices @ matrices.mT
-    (expected,) = torch.autograd.grad((covariances * weights).sum(), matrices)
-    turned, lengths = principal_axes(matrices)
-    axes = rotation_matrices(turned) * lengths[:, None]
-    (gradient,) = torch.autograd.grad((axes @ axes.mT * weights).sum(), matrices)
-    close = 1e-6 if dtype == torch.float64 else 2e-4
-    assert (axes @ axes.mT - covariances).abs().max() < close * covariances.abs().max()
-    assert (gradient - expected).abs().max() < close * expected.abs().max()
-
-
-def test_stretched_rotations_of_unit_quaternions_are_rotations():
-    quats = torch.randn(20, 4, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
-    units = torch.nn.functional.normalize(quats, dim=1)
-    assert torch.allclose(stretched_rotations(units), rotation_matrices(quats))
-    squared, eye = quats.square().sum(dim=1)[:, None, None], torch.eye(3).double()
-    assert torch.allclose(stretched_rotations(quats), (1 - squared) * eye + squared * rotation_matrices(quats))
 
 
 def test_balls_have_finite_gradients():

@@ -224,50 +224,18 @@ def test_limits_are_checked_before_anything_is_unpacked(packed, tmp_path, monkey
     assert not (tmp_path / "theirs").exists()
 
 
-def test_a_member_that_holds_more_than_it_states_is_refused(packed, tmp_path):
-    path = bomb(tmp_path / "a.zip", packed, f"{CELL}/model.ply", 30 * MB)
-    stored, stated = path.read_bytes(), (30 * MB).to_bytes(4, "little")
-    assert stored.count(stated) == 2  # its own header, and the list's
-    path.write_bytes(stored.replace(stated, (1000).to_bytes(4, "little")))
-    with pytest.raises(ValueError, match=r"a\.zip is no pack, or"):
-        unpack(path, tmp_path / "theirs")
-
-
-@pytest.mark.parametrize("target", ["/etc/passwd", "../../../../../../../secret.ply"])
-def test_links_out_of_the_results_are_not_packed(small_results, tmp_path, target):
+def test_links_out_of_the_results_and_files_of_no_cell_are_not_packed(small_results, tmp_path):
     copy = Path(shutil.copytree(small_results, tmp_path / "a"))
     (tmp_path / "secret.ply").write_text("mine")
     (copy / CELL / "model.ply").unlink()
-    (copy / CELL / "model.ply").symlink_to(target)
-    with pytest.raises(ValueError, match=r"model\.ply cannot be packed: it leads out of its folder"):
-        pack(copy, keep_paths=True)
-
-
-def test_files_of_no_cell_are_not_packed(small_results, tmp_path):
-    copy = Path(shutil.copytree(small_results, tmp_path / "a"))
+    for target in ("/etc/passwd", "../../../../../../../secret.ply"):
+        (copy / CELL / "model.ply").symlink_to(target)
+        with pytest.raises(ValueError, match=r"model\.ply cannot be packed: it leads out of its folder"):
+            pack(copy, keep_paths=True)
+        (copy / CELL / "model.ply").unlink()
     (copy / CELL / "notes.txt").write_text("mine")
     with pytest.raises(ValueError, match=r"notes\.txt cannot be packed: .* is no file of a cell"):
         pack(copy, keep_paths=True)
-
-
-@pytest.mark.parametrize("length", [0, 100, -30])
-def test_what_is_cut_is_no_pack(packed, tmp_path, length):
-    (tmp_path / "b.zip").write_bytes(packed.read_bytes()[:length])
-    with pytest.raises(ValueError, match=r"b\.zip is no pack, or damaged"):
-        unpack(tmp_path / "b.zip", tmp_path / "theirs")
-
-
-def test_a_changed_bit_is_one_error(packed, tmp_path):
-    """Wherever it is: in what deflate reads, zlib fails before a checksum does."""
-    stored = packed.read_bytes()
-    with zipfile.ZipFile(packed) as archive:
-        start = archive.getinfo(RECORD).header_offset + len(RECORD) + 30  # behind its header
-        size = archive.getinfo(RECORD).compress_size
-    last = start + size - 1  # it ends in bits that deflate does not read
-    for at in range(start, last, max(1, size // 60)):
-        (tmp_path / "b.zip").write_bytes(stored[:at] + bytes([stored[at] ^ 0x10]) + stored[at + 1 :])
-        with pytest.raises(ValueError, match=r"b\.zip is no pack, or"):
-            unpack(tmp_path / "b.zip", tmp_path / "theirs")
 
 
 @pytest.mark.parametrize("content", [b'{"a": ', b"[1]", b"\xff", b'{"failure": "lost"}'])
@@ -278,20 +246,12 @@ def test_a_damaged_record_is_named(small_results, tmp_path, content):
         pack(copy, tmp_path / "a.zip", keep_paths=True)
 
 
-def test_a_folder_that_is_there_stays(packed, tmp_path):
-    (tmp_path / "theirs").mkdir()
-    with pytest.raises(FileExistsError, match="name a new folder"):
-        unpack(packed, tmp_path / "theirs")
-
-
-def test_the_checklist_names_what_is_missing(small_results):
+def test_the_checklist_names_what_is_missing(small_results, tmp_path):
     missing = {item.title: item.missing for item in checklist(small_results)}
     assert "seed" not in missing["3 seeds of each cell"] and "turntable" in missing["3 seeds of each cell"]
     assert missing["every planned cell is finished"] == f"1 of {len(read_each(small_results))} cells"
     assert missing["all test views are there"] == missing["one protocol"] == missing["a log of each training"] == ""
 
-
-def test_the_checklist_counts_test_views(small_results, tmp_path):
     copy = Path(shutil.copytree(small_results, tmp_path / "a"))
     record = copy / CELL / "record.json"
     record.write_bytes(edited(lambda content: content["hashes"].pop("renders/view000.png"))(record.read_bytes()))

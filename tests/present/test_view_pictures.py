@@ -9,8 +9,7 @@ import numpy as np
 from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.record import read_each
 from tdgbench.cells.renders import render_model
-from tdgbench.present.colours import colored, expected_depth
-from tdgbench.present.html import embedded
+from tdgbench.present.colours import expected_depth
 from tdgbench.present.view_pictures import rendered_depth
 from tests.helpers.cells import run_quietly
 from tests.helpers.configs import QUICK, config
@@ -27,9 +26,3 @@ def test_depth_is_seen_from_the_learnt_place_of_the_thermal_camera(tmp_path, dat
     shown = rendered_depth(cell, name)
     assert shown.shape == from_the_given_pose.shape and not np.array_equal(shown, from_the_given_pose, equal_nan=True)
     assert np.nanmedian(np.abs(shown - from_the_given_pose) / shown) < 0.05
-
-
-def test_colours_span_the_range_and_gray_marks_what_is_not_known():
-    pixels = colored(np.array([[0.0, 1.0, np.nan]]), "inferno", 0, 1)
-    assert pixels[0, 0].sum() < 20 < pixels[0, 1].sum() and (pixels[0, 2] == 128).all()
-    assert embedded(pixels).startswith("data:image/png;base64,")

@@ -25,20 +25,6 @@ def test_files(small_scene, tmp_path):
         FilePrior(str(tmp_path), "depth").estimate(small_scene, small_scene.train[1])
 
 
-@pytest.mark.parametrize("part", ["train", "test", ""])
-@pytest.mark.parametrize("bits", [8, 16])
-def test_maps_in_the_scene_s_folder_as_in_tdg_s_release(small_scene, tmp_path, part, bits):
-    scene, view = replace(small_scene, folder=tmp_path), small_scene.train[0]
-    (tmp_path / "depthesti" / part).mkdir(parents=True)
-    most = 2**bits - 1
-    values = np.random.default_rng(0).integers(0, most, (36, 48), endpoint=True).astype(f"uint{bits}")
-    values[3:5, 7] = 0
-    Image.fromarray(values).save(tmp_path / "depthesti" / part / f"{view.name}.png")
-    read = FilePrior(None, "depth").estimate(scene, view).check(view).values
-    assert np.isnan(read[3:5, 7]).all() and np.array_equal(np.isnan(read), values == 0)
-    assert np.allclose(read[values > 0], values[values > 0] / most, atol=1e-6)
-
-
 def test_a_map_of_another_size_is_resized(small_scene, tmp_path):
     view = small_scene.train[0]
     ramp = np.repeat(np.linspace(10, 250, 24).astype(np.uint8)[None], 18, axis=0)

@@ -203,24 +203,6 @@ def test_the_identity_follows_weights_in_a_file_of_any_name(small_scene, tmp_pat
     assert make("onnx", model=model).identity(small_scene)["files"] != before["files"]
 
 
-def test_changed_weights_give_new_priors(small_scene, tmp_path):
-    model, view = tmp_path / "scaled.onnx", small_scene.train[0]
-    model.write_bytes(scaled("weights.bin"))
-    for factor in (1, 2):
-        (tmp_path / "weights.bin").write_bytes(factors(factor))
-        priors, made = estimate_all(make("onnx", model=model), small_scene, tmp_path / "cache")
-        assert made == 8 and np.allclose(priors[view.name].values, factor * view.thermal.mean(axis=2), atol=1e-6)
-
-
-def test_the_identity_with_weights_beside_the_model_is_that_of_earlier_releases(small_scene, tmp_path):
-    model, weights = tmp_path / "scaled.onnx", tmp_path / "scaled.onnx.data"
-    model.write_bytes(scaled("scaled.onnx.data"))
-    weights.write_bytes(factors(1))
-    hashes = [hashlib.sha256(path.read_bytes()).digest() for path in (model, weights)]
-    expected = hashlib.sha256(hashes[0] + b".data" + hashes[1]).hexdigest()[:16]
-    assert make("onnx", model=model).identity(small_scene)["files"] == expected
-
-
 @pytest.mark.parametrize("place", ["../out.bin", "link.bin", "FOLDER/in.bin", "missing.bin", "parts", "a\0b"])
 def test_weights_that_are_not_in_the_folder_of_the_model_are_named(small_scene, tmp_path, place):
     folder = tmp_path / "models"

@@ -54,10 +54,6 @@ def score(experiment: Path, name: str, *options: str) -> int:
     return main([str(experiment), str(experiment.with_name(name)), *options])
 
 
-def numbers(folder: Path) -> dict[str, dict[str, float | None]]:
-    return read_views(folder)
-
-
 def test_it_gives_what_a_training_gives(data_root, tmp_path):
     """By the other protocol from the start, of a method with images and a second modality."""
     common = (*SMALL, "budget=demo", "budget.iterations=12", "scene=turntable", "method=msmg", "prior=synthetic",
@@ -69,7 +65,9 @@ def test_it_gives_what_a_training_gives(data_root, tmp_path):
     a, b, trained = (record_of(tmp_path / name / MSMG) for name in "abc")
     assert b.protocol == trained.protocol == protocol_of(b.config) != a.protocol
     assert (b.key, b.convention, b.scores, b.experiment) == (trained.key, "standard", trained.scores, "b")
-    assert b.scores["ssim"] != a.scores["ssim"] and numbers(tmp_path / "b" / MSMG) == numbers(tmp_path / "c" / MSMG)
+    assert b.scores["ssim"] != a.scores["ssim"] and read_views(tmp_path / "b" / MSMG) == read_views(
+        tmp_path / "c" / MSMG
+    )
     assert b.train_scores == {"psnr": a.train_scores["psnr"], "ssim": None}
     assert b.missing["train_ssim"] == "renders of training views are not stored"
     assert b.notes[-1] == f"scored again: protocol {b.protocol}, trained with {a.protocol}"
@@ -85,16 +83,6 @@ def test_an_experiment_keeps_its_scores_and_failures(experiment, capsys):
     assert (out / "tables" / "main.csv").exists() and (out / "report.html").exists()
     assert verify(out).problems == []
     assert "ssim, lpips, rgb_ssim, rgb_lpips computed" in capsys.readouterr().out
-
-
-def test_files_are_links_where_the_disk_has_them(msmg, monkeypatch):
-    assert score(msmg, "b", "metrics=standard", OFFLINE) == 0
-    place = f"{MSMG}/model.ply"
-    assert (msmg.with_name("b") / place).samefile(msmg / place)
-    monkeypatch.setattr(os, "link", lambda *_: (_ for _ in ()).throw(OSError("another disk")))
-    assert score(msmg, "c", "metrics=standard", OFFLINE) == 0
-    copy = msmg.with_name("c") / place
-    assert copy.read_bytes() == (msmg / place).read_bytes() and not copy.samefile(msmg / place)
 
 
 def test_what_is_there_is_not_computed_again(experiment, monkeypatch, capsys):

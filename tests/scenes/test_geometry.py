@@ -10,8 +10,7 @@ import pytest
 from tdgbench.bench.init import CubeAroundCameras
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.scenes.camera import pose_at
-from tdgbench.scenes.geometry import MAX_ERROR, doubts_of, near_origin, pixel_errors
-from tdgbench.scenes.outliers import outlying
+from tdgbench.scenes.geometry import MAX_ERROR, doubts_of, near_origin, outlying, pixel_errors, sight_of
 
 FORWARD = np.eye(3)
 BACK = np.diag([-1.0, 1.0, -1.0])  # about the vertical
@@ -119,7 +118,7 @@ def test_an_origin_far_away_is_moved_between_the_cameras():
     offset = np.array([451_234.5, 5_276_543.25, 312.0])
     right = scene_of(row(), wall())
     far = scene_of([camera(one.center + offset) for one in row()], wall() + offset)
-    error = pixel_errors([far.train[0].camera], far.points.points)[0]
+    error = pixel_errors([far.train[0].camera], sight_of([far.train[0].camera], far.points.points))[0]
     assert error == pytest.approx(0.5 * 150 / 3) and 0.2 < in_float32(far) / error < 2
     moved = near_origin(far)
     assert moved.origin == (451_234.0, 5_276_543.0, 312.0) and "float32" in moved.assumed["origin"]

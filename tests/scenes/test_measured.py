@@ -8,14 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from tdgbench.scenes import (
-    Camera,
-    PointCloud,
-    Scene,
-    SceneError,
-    TemperatureRange,
-    View,
-)
+from tdgbench.scenes import Camera, PointCloud, Scene, SceneError, TemperatureRange, View
 from tdgbench.scenes.temperature import MOST_SAMPLES
 from tests.helpers.layouts import LAYOUTS, write_mask, write_rgbt_scenes, write_thermalmix
 from tests.helpers.scenes import load
@@ -53,18 +46,12 @@ def test_each_image_is_hashed_once_and_read_once(small_gray_scene, tmp_path, ope
             assert view.thermal is view.thermal and view.valid is view.valid
             assert view.load_rgb is None or view.rgb is view.rgb
     images = [path for path in folder.rglob("*") if path.suffix in (".png", ".jpg", ".npy") and path.stem != "lost"]
-    used = [
-        path
-        for path in images
-        if path.parent.name != "masks" or not any("10 masks belong" in note for note in scene.notes)
-    ]
-    assert len(used) > 18
+    has_masks = not any("10 masks belong" in note for note in scene.notes)
+    used = [path for path in images if path.parent.name != "masks" or has_masks]
     before = folder / "thermal" if name == "thermalmix_images" else None  # the warp
     shown = {path for path in used if path.parent.name != "masks" and path.parent != before}
-    assert {path: opened[str(path)] for path in used} == {
-        path: 2 + (path in shown)  # its header
-        for path in used
-    }
+    assert len(used) > 18
+    assert {path: opened[str(path)] for path in used} == {path: 2 + (path in shown) for path in used}  # its header
 
 
 def noise(width: int, height: int, views: int) -> Scene:
@@ -80,13 +67,10 @@ def noise(width: int, height: int, views: int) -> Scene:
     return Scene("noise", "", "", found, [], points, TemperatureRange(10, 50), "", "", 1)
 
 
-@pytest.mark.parametrize(
-    "write",
-    [
-        partial(write_thermalmix, camera="PINHOLE", change=lambda d, n: np.pad(d[:, 20:], ((0, 0), (20, 0)))),
-        write_rgbt_scenes,
-    ],
-)
+PADDED = partial(write_thermalmix, camera="PINHOLE", change=lambda d, n: np.pad(d[:, 20:], ((0, 0), (20, 0))))
+
+
+@pytest.mark.parametrize("write", [PADDED, write_rgbt_scenes])
 def test_memory_is_that_of_the_views(tmp_path, write):
     """Loading holds no second copy of the images; one view at a time is in the making."""
     folder = write(noise(640, 480, 16), tmp_path / "scene")

@@ -117,11 +117,6 @@ def test_depth_maps_are_checked(folder):
             _ = next(v for v in load(folder).views if v.name == "view001").true_depth
 
 
-def test_a_width_of_nothing(folder):
-    with pytest.raises(SceneError, match=r"data\.width=0: view view\d+ is 0×1 px"):
-        load(folder, width=0)
-
-
 def test_a_file_of_the_model_s_folder_that_is_not_utf_8(folder):
     (folder / "sparse" / "0" / os.fsdecode(b"\xff.ini")).write_text("x")
     with pytest.raises(SceneError, match=r"udcff\.ini' is not UTF-8; rename it"):
@@ -129,12 +124,6 @@ def test_a_file_of_the_model_s_folder_that_is_not_utf_8(folder):
 
 
 NAMES = [f"v{i:02d}" for i in range(20)]
-
-
-def test_as_shipped():
-    shipped = {name: "test" if name in ("v03", "v04") else "train" for name in NAMES}
-    train, test = split_names(NAMES, "folder", shipped)
-    assert test == ["v03", "v04"] and len(train) == 18
 
 
 def test_impossible_splits_are_refused():

@@ -9,7 +9,6 @@ from hydra.utils import instantiate
 from tdgbench.scenes.modalities import LABELS
 from tdgbench.scoring import METRICS, RenderedImages, metrics, registry
 from tdgbench.scoring.registry import find_metrics
-from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
 from tests.helpers.configs import config
 
 MADE_UP = """
@@ -74,13 +73,3 @@ def test_the_rgb_model_is_described_like_the_thermal_one():
     assert rgb.title == "PSNR of the RGB model, dB ↑" and psnr.in_main_table and not rgb.in_main_table
     train = psnr.of_training_views()
     assert train.name == "train_psnr" and train.title == "PSNR of the training views, dB ↑"
-
-
-def test_a_metric_reads_its_own_modality(small_scene):
-    view = small_scene.test[0]
-    images = RenderedImages(view.thermal, view.true_depth, {"rgb": np.clip(view.rgb + 0.1, 0, 1)})
-    shown = ScoredView(view, images, Convention("zero", lambda a, b: 0.0))
-    assert METRICS["psnr"].score(shown) > 99 and METRICS["rgb_psnr"].score(shown) < 30
-    without = ScoredView(view, RenderedImages(view.thermal, view.true_depth), shown.convention)
-    with pytest.raises(NotApplicableError, match="trains no RGB model"):
-        METRICS["rgb_psnr"].score(without)

@@ -12,7 +12,7 @@ from hydra.utils import instantiate
 
 from tdgbench.scoring import RenderedImages, to_8bit
 from tdgbench.scoring.metrics.psnr import psnr
-from tdgbench.scoring.scorer import PIXELS_AT_ONCE, map_views, one_torch_thread
+from tdgbench.scoring.scorer import PIXELS_AT_ONCE, map_views
 from tdgbench.splats.cpu import pool
 from tests.helpers.configs import config
 
@@ -100,25 +100,6 @@ def test_scores_do_not_depend_on_the_number_of_threads(small_scene, squeeze_weig
     assert found[0][1] == {v.name: scoring.score_train([v], renders)[v.name] for v in small_scene.train}
 
 
-def test_the_network_is_loaded_once(small_scene, monkeypatch):
-    """And on the CPU, wherever the cell trained: it is given no device."""
-    loaded = []
-
-    class Network:
-        def __init__(self, net, input_range, weights, download):
-            loaded.append(net)
-
-        def __call__(self, image, target):
-            return 0.25
-
-    monkeypatch.setattr("tdgbench.scoring.scorer.LPIPS", Network)
-    pool.set_threads(4)
-    scoring = scorer()
-    renders = {v.name: RenderedImages(v.thermal, v.true_depth) for v in small_scene.test}
-    assert {values["lpips"] for values in scoring.score(small_scene, renders).values()} == {0.25}
-    assert loaded == ["alex"]
-
-
 def test_an_rgb_model_is_scored_like_the_thermal_one(small_scene):
     view = small_scene.test[0]
     wrong = np.clip(view.rgb + 0.1, 0, 1)
@@ -172,11 +153,3 @@ def test_memory_bounds_the_views_at_once():
 
     map_views(work, range(40), pixels=PIXELS_AT_ONCE // 2)
     assert most[0] <= 2
-
-
-def test_torch_has_its_threads_back_after_an_error():
-    torch.set_num_threads(2)
-    with pytest.raises(KeyError), one_torch_thread():
-        assert torch.get_num_threads() == 1
-        raise KeyError
-    assert torch.get_num_threads() == 2

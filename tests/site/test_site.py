@@ -16,9 +16,10 @@ from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.record import read_all
 from tdgbench.packs import pack
 from tdgbench.site.budgets import training_in_words
-from tdgbench.site.site_command import main
+from tdgbench.site.packed import SCORES
+from tdgbench.site.site_pages import main
 from tdgbench.tables.long_table import metric_value
-from tdgbench.tables.measures import COLUMNS, as_text
+from tdgbench.tables.measures import as_text
 from tdgbench.tables.published import published_main
 from tests.helpers.browser import CHROMIUM, opened
 from tests.helpers.html_page import HtmlPage
@@ -83,7 +84,7 @@ def test_all_links_resolve(site):
 
 
 def rows_of_index(site: Path) -> list[list[str]]:
-    """Rows of the leaderboards: rank, method, scene, a number of each of COLUMNS, seeds, …, pack."""
+    """Rows of the leaderboards: rank, method, scene, a number of each of SCORES that is shown, seeds, …, pack."""
     index = HtmlPage((site / "index.html").read_text(encoding="utf-8"))
     found = [row for table in index.tables if table[0][0] == "rank" for row in table[1:]]
     return [[*row[:2], *row[3:], row[2]] for row in found]
@@ -97,9 +98,10 @@ def test_every_number_is_that_of_the_records(small_results, packed, tmp_path):
         scene = {"orbit": "orbit †"}.get(record.scene, record.scene)  # in a palette
         method = {"tdg": "TDg prior synthetic"}.get(record.method, labels[record.method])
         *numbers, seeds, budget, iterations, size, ranges, name = rows.pop((method, scene))
-        values = [metric_value(record, metric)[0] for metric in COLUMNS]
-        expected = ["n/a" if np.isnan(v) else as_text(m, v) for m, v in zip(COLUMNS, values, strict=True)]
-        assert (numbers, seeds, name) == (expected, "1", "small.zip")
+        values = [metric_value(record, metric)[0] for metric in SCORES]
+        expected = ["n/a" if np.isnan(v) else as_text(m, v) for m, v in zip(SCORES, values, strict=True)]
+        assert [text.split()[0] for text in numbers] == expected and (seeds, name) == ("1", "small.zip")
+        assert re.fullmatch(r"[\d.]+ [\d.]+ to [\d.]+", numbers[0])  # with the interval
         assert (budget, iterations) == (record.setting("budget.name"), str(record.setting("budget.iterations")))
         assert re.fullmatch(r"\d+×\d+", size) and (ranges == "n/a") == (record.temperature_range is None)
     assert rows == {}  # no mean, as one scene has failed
@@ -145,14 +147,6 @@ def test_budgets_in_words_take_nothing_from_a_record_but_values(monkeypatch):
     assert training_in_words(stated) == "budget paper with iterations=10000"
     stated.config["method"]["paper_iterations"] = 10000
     assert training_in_words(stated) == "budget paper"
-
-
-def test_scenes_of_equal_bytes_are_named(tmp_path):
-    for scene in ("Truck", "Lion"):
-        write(tmp_path / "a", scene=scene, truth={"view": "0" * 64})
-    folder = make(tmp_path / "site", pack(tmp_path / "a", tmp_path / "a.zip", keep_paths=True)[0])
-    said = "has the test images of RGBT-Scenes/Lion, byte by byte"
-    assert f"RGBT-Scenes/Truck {said}" in (folder / "index.html").read_text()
 
 
 def test_rows_of_other_images_are_not_compared(tmp_path):

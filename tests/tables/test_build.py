@@ -106,13 +106,6 @@ def test_an_ablation_of_other_scenes_is_not_held_against_the_paper(tmp_path):
     assert tables.difference is None and tables.main["value"].notna().any()
 
 
-def test_ablation_with_a_missing_scene_is_na(tmp_path):
-    write(tmp_path)
-    Plan("ablation").write(tmp_path)
-    tables = build_tables(tmp_path)
-    assert tables.main["value"].isna().all() and "n/a / n/a" in tables.latex
-
-
 @pytest.mark.parametrize("kind", ["main", "ablation"])
 def test_latex_compiles(tmp_path, kind):
     if shutil.which("pdflatex") is None:

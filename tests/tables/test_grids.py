@@ -70,11 +70,6 @@ def test_a_verdict_in_words(tables):
     assert note == "-1.84" and details.startswith("published 25.90: worse; 90 % interval of our mean")
 
 
-def test_undecided_says_why(tables):
-    _, details = difference_note(row(tables, "tdg", "Truck"), "Truck")
-    assert details == "published 26.28: undecided, one seed has no spread; seeds needed: unknown"
-
-
 def test_nothing_is_said_where_there_is_nothing(tables):
     assert difference_note(None, "Truck") == ("", "") and difference_note(row(tables, "tdg", "Lion"), "Lion") == (
         "",

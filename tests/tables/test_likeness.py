@@ -10,9 +10,9 @@ from omegaconf import OmegaConf
 
 from tdgbench.resources import conf_folder
 from tdgbench.tables.build import TableOptions, Tables, build_tables
-from tdgbench.tables.likeness import OWN
+from tdgbench.tables.likeness import OWN, setups
 from tdgbench.tables.tables_command import main
-from tests.helpers.records import write
+from tests.helpers.records import record, write
 
 RANKED = TableOptions(is_ranking_unlike=True)
 AUTHORS_OWN = "unlike trainings: iterations: 400 (3DGS), as its authors state (MSMG, TDg)"
@@ -156,3 +156,18 @@ def test_columns_are_chosen(tmp_path, capsys):
     assert r"orbit & 0.800 & 20.00 \\" in (tmp_path / "tables" / "main.tex").read_text()
     assert main([str(tmp_path), "--columns", "psnr,ssm"]) == 1
     assert "no column ssm; known are psnr, " in capsys.readouterr().err
+
+
+def test_setups_leave_out_method_prior_seed_and_length():
+    def cell(method: str, iterations: int, sh_every: int, **fields: object):
+        budget = {"name": method, "iterations": iterations, "sh_every": sh_every}
+        return record(config={"method": {"name": method}, "budget": budget, "prior": {"name": method}}, **fields)
+
+    one, *others = cells = [
+        cell("tdg", 9, 5), cell("msmg", 10, 5), cell("tdg", 9, 6), cell("tdg", 9, 5, environment={"cpu": "Xeon"}),
+    ]  # fmt: skip
+    assert [text == setups(cells)[0] for text in setups(cells)] == [True, True, False, True]
+    assert [setups([one, other], timed=True)[1] == setups([one], timed=True)[0] for other in others] == [
+        True, False, False,
+    ]  # fmt: skip
+    assert len(set(setups([one, cell("msmg", 10, 5)], with_length=True))) == 2

@@ -18,9 +18,3 @@ def test_the_order_of_rows_on_disk():
         "train_psnr", "train_ssim",
     )  # fmt: skip
     assert set(ABLATION) | set(TRAINING) <= set(MEASURES)
-
-
-def test_headings():
-    hours = MEASURES["train_hours"]
-    assert (hours.column, hours.latex_column, hours.change) == ("time↓", r"Time [h] $\downarrow$", "time ×")
-    assert MEASURES["psnr"].change == "PSNR, dB" and MEASURES["ssim"].latex_column == r"SSIM $\uparrow$"

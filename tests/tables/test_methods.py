@@ -33,10 +33,6 @@ def test_every_method_has_a_label():
     assert sorted(names, key=methods.rank)[:2] == ["msmg", "tdg"]
 
 
-def test_a_method_without_a_file_prints_its_name():
-    assert methods.label("unheard_of (random) [budget=demo]") == "unheard_of (random) [budget=demo]"
-
-
 def test_labels_are_not_inherited(conf):
     (conf / "mine.yaml").write_text("defaults: [tdg, _self_]\nname: mine\n")
     assert methods.entry("mine") == ("mine", methods.LAST, None)

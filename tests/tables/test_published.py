@@ -5,12 +5,7 @@ import pytest
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.registry import DATASETS, registered
 from tdgbench.tables.measures import KEYS, OVERALL, PUBLISHED
-from tdgbench.tables.published import (
-    PAPER,
-    load_sources,
-    published_elsewhere,
-    published_main,
-)
+from tdgbench.tables.published import PAPER, load_sources, published_elsewhere, published_main
 
 
 # The paper's marks that do not follow from its numbers: none at Ebike LPIPS, and TDg at the tie of Road Block SSIM.

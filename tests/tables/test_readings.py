@@ -42,6 +42,17 @@ def test_effects_are_paired_by_seed():
     assert set(table["metric"]) == {"psnr", "ssim", "train_hours", "gaussians"}  # LPIPS is n/a
 
 
+def test_unlike_trainings_are_not_paired():
+    def metrics_of(**fields):
+        pair = record("3dgs_smooth", 3000, 30.0), record("tdg", 3000, 30.5)
+        for name, value in fields.items():
+            setattr(pair[1], name, value)
+        return set(effects(reading_cells(pair))["metric"])
+
+    assert metrics_of() == {"psnr", "ssim", "train_hours", "gaussians"}
+    assert metrics_of(environment={"threads": 2}) == {"psnr", "ssim", "gaussians"} and not metrics_of(backend="gsplat")
+
+
 def test_hours_and_gaussians_are_compared_by_ratio():
     table = effects(reading_cells(CELLS))
     assert row(table, effect="depth, as written", metric="gaussians")["change"] == pytest.approx(2.0)

@@ -15,7 +15,7 @@ import pytest
 from tdgbench.cells.cell_tables import write_views
 from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.cells.plan import Plan
-from tdgbench.cells.record import Failure, Record
+from tdgbench.cells.record import Record
 from tdgbench.scenes import Description
 from tdgbench.scoring import METRICS
 from tdgbench.tables.build import build_tables
@@ -94,15 +94,6 @@ def test_a_cell_counts_once_and_in_its_own_folder(experiment):
     assert str(cell.with_name("seed7")) in results.problems[0] and values(experiment)["night"] == 21.0
     shutil.rmtree(cell)
     assert np.isnan(values(experiment)["night"])
-
-
-def test_a_failed_cell_never_shows_numbers(experiment):
-    shutil.rmtree(cell_of(experiment, "night"))
-    failure = Failure("train", "ValueError: a\nb", "")
-    write(experiment, scene="night", dataset="synthetic", status="failed", failure=failure, scores={"psnr": 30.0})
-    main = build_tables(experiment).main.set_index(["scene", "metric"])
-    assert main.loc["night", "value"].isna().all()
-    assert set(main.loc["night", "reason"]) == {"failed in train: ValueError: a"}
 
 
 @pytest.mark.parametrize(
@@ -193,14 +184,3 @@ def test_views_without_a_metric_have_none(tmp_path):
 def test_labels(tmp_path):
     assert Cell(tmp_path, record()).label == "tdg"
     assert Cell(tmp_path, record(init="random", seed=2)).label == "tdg (random), seed 2"
-
-
-def test_setup_ignores_method_seed_and_length(tmp_path):
-    def config(method, iterations, sh_every):
-        return {"method": method, "budget": {"iterations": iterations, "sh_every": sh_every}, "metrics": "3dgs"}
-
-    a, b, c = (Cell(tmp_path, record(config=config(*one))) for one in (("tdg", 9, 5), ("msmg", 10, 5), ("tdg", 9, 6)))
-    assert a.settings_key == b.settings_key != c.settings_key and (a.planned_iterations, b.planned_iterations) == (
-        9,
-        10,
-    )

@@ -114,8 +114,7 @@ def test_psnr_in_other_ranges_of_degrees(tmp_path):
     """Truths of 60 to 189 of 255: all of it is 0.506 of the range, whatever its °C."""
     folder = cell(tmp_path / "x", "tdg", [2.0, 12.0])
     assert "not linear in °C" in table_of(tmp_path)["reason"]["psnr", "°C range: 1 % to 99 %"]
-    record = json.loads((folder / RECORD_FILE).read_text())
-    (folder / RECORD_FILE).write_text(json.dumps(record | {"temperature_range": [-22.0, 7.0]}))
+    with_record(folder, temperature_range=[-22.0, 7.0])
     truths = np.array([b for _, b in images(folder)])
     ends = truths.min(), truths.max()
     expected = np.mean(
@@ -182,37 +181,31 @@ def test_masked_pixels_count_in_no_convention(tmp_path):
     assert table_of(tmp_path)["mean_change"].equals(masked) and not masked.equals(before)
 
 
-def test_cells_of_several_conventions_are_refused(tmp_path, capsys):
-    cell(tmp_path / "x", "tdg", [2.0])
-    cell(tmp_path / "x", "msmg", [2.0], ssim_border="valid")
-    assert main(["sensitivity", str(tmp_path / "x")]) == 1
-    assert "several conventions" in capsys.readouterr().err
+def of_one_more_convention(folder):
+    cell(folder.parents[5], "msmg", [2.0], ssim_border="valid")
 
 
-def test_a_folder_without_cells_is_refused(tmp_path, capsys):
-    folder = cell(tmp_path / "x", "tdg", [2.0])
+def with_record(folder, **fields):
     record = json.loads((folder / RECORD_FILE).read_text())
-    (folder / RECORD_FILE).write_text(
-        json.dumps(record | {"status": "failed", "failure": {"phase": "train", "error": "x", "traceback": ""}})
-    )
+    (folder / RECORD_FILE).write_text(json.dumps(record | fields))
+
+
+FAILED = {"status": "failed", "failure": {"phase": "train", "error": "x", "traceback": ""}}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (of_one_more_convention, "several conventions"),
+        (lambda folder: with_record(folder, **FAILED), "no finished cell"),
+        (lambda folder: with_record(folder, config={}), "metrics"),
+        (lambda folder: (folder / "renders" / "0.png").write_bytes(b"x"), "0.png cannot be read: it is no picture"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_scored_is_one_error(tmp_path, capsys, spoil, message):
+    spoil(cell(tmp_path / "x", "tdg", [2.0]))
     assert main(["sensitivity", str(tmp_path / "x")]) == 1
-    assert "no finished cell" in capsys.readouterr().err
-
-
-def test_a_record_without_metrics_is_one_error(tmp_path, capsys):
-    folder = cell(tmp_path / "x", "tdg", [2.0])
-    record = json.loads((folder / RECORD_FILE).read_text())
-    del record["config"]["metrics"]
-    (folder / RECORD_FILE).write_text(json.dumps(record))
-    assert main(["sensitivity", str(tmp_path / "x")]) == 1
-    assert "metrics" in capsys.readouterr().err
-
-
-def test_a_damaged_picture_is_named(tmp_path, capsys):
-    folder = cell(tmp_path / "x", "tdg", [2.0])
-    (folder / "renders" / "0.png").write_bytes(b"no picture")
-    assert main(["sensitivity", str(tmp_path / "x")]) == 1
-    assert "renders/0.png cannot be read: it is no picture" in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_a_folder_must_be_named(capsys):

@@ -5,11 +5,9 @@ import re
 import subprocess
 import sys
 
-import pandas as pd
-
 from tdgbench.scenes.registry import SCENES
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.show import show_table, show_tables
+from tdgbench.tables.show import show_tables
 from tests.helpers.paths import ROOT
 from tests.helpers.records import published_as_records, write
 
@@ -39,9 +37,3 @@ def test_a_pipe_gets_every_name_and_number_and_the_findings_last(tmp_path):
     score, time = r" *[\d.]+ ± [\d.]+ │", r" +\d:\d\d:\d\d "  # the paper has no scores of right halves
     assert all(re.fullmatch(f"{score} +n/a │({score}){{2}}{time}", numbers) for _, numbers in rows)
     assert run.stdout.splitlines()[-1] == "found: 102 of 102 published scores reproduced"
-
-
-def test_names_are_no_markup(capsys):
-    show_table(pd.DataFrame({"scene": ["room [old]", "a[/b]"], "x": [1, 2]}), title="t")
-    said = capsys.readouterr().out
-    assert "room [old]" in said and "a[/b]" in said

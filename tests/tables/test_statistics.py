@@ -6,11 +6,10 @@ import pytest
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import read_all
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.long_table import cell_rows
-from tdgbench.tables.measures import KEYS
+from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages
 from tdgbench.tables.published import published_main
 from tdgbench.tables.results import read_results
-from tdgbench.tables.statistics import intervals, over_seeds
+from tdgbench.tables.statistics import intervals, with_seeds
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED
 from tests.helpers.records import published_as_records, write
 
@@ -24,8 +23,10 @@ def test_spread_over_seeds(tmp_path):
     for seed, (a, b) in enumerate([(20.0, 30.0), (22.0, 30.0), (21.0, 33.0)]):
         for scene, value in (("Truck", a), ("Dimsum", b)):
             write(tmp_path, scene=scene, seed=seed, scores={"psnr": value})
-    found = over_seeds(cell_rows(read_all(tmp_path), Plan())).set_index(KEYS)
-    psnr = found.xs("psnr", level="metric").reset_index().query("method == 'tdg'").set_index("scene")
+    cells = cell_rows(read_all(tmp_path), Plan())
+    found, by_seed = with_seeds(with_averages(scene_rows(cells)), cells)
+    psnr = found.query("metric == 'psnr' and method == 'tdg'").set_index("scene")
+    assert by_seed[found["scene"] == "Truck"].dropna().to_numpy().tolist()[0] == [20.0, 22.0, 21.0]
     assert psnr.loc["Truck", "std"] == pytest.approx(1.0) and psnr.loc["Truck", "seeds"] == 3
     assert np.isnan(psnr.loc["Average", "std"]).all()  # other scenes of the data set are missing
     assert psnr.loc["Lion", "seeds"] == 0

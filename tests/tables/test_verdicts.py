@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import stats
 
@@ -20,7 +19,6 @@ from tdgbench.tables.verdicts import (
     load_margins,
     seeds_interval,
     seeds_needed,
-    verdicts_in_words,
 )
 
 NAN = float("nan")
@@ -97,20 +95,6 @@ def test_that_many_seeds_decide_four_of_five(distance, std):
             low, high = seeds_interval(runs.mean(axis=1), runs.std(axis=1, ddof=1), seeds)
             rates.append((judge_score(low, high, 0.0, 0.005, 0.2) != UNDECIDED).mean())
     assert rates[0] >= 0.8 - 0.012 and all(rate < 0.8 + 0.012 for rate in rates[1:])
-
-
-def test_counts_in_words():
-    judged = pd.DataFrame(
-        {
-            "verdict": [REPRODUCED, BETTER, *[UNDECIDED] * 5],
-            "seeds_needed": ["", "", "4", "9", "> 100", NEVER, UNKNOWN],
-        }
-    )
-    assert verdicts_in_words(judged) == (
-        "1 reproduced, 1 better, 5 undecided (4 to 9 seeds would decide 2; more than 100 for 1; "
-        "no number of seeds for 1; unknown for 1)"
-    )
-    assert verdicts_in_words(judged.iloc[:2]) == "1 reproduced, 1 better"
 
 
 def test_a_margin_needs_its_reason(tmp_path):

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -17,11 +15,6 @@ def test_normalization_changes_no_value():
         r + before.gains * (degC - r) + before.offsets
     )
     assert after.offsets.mean() == pytest.approx(0) and after.gains.mean() == pytest.approx(1)
-
-
-def test_the_summary_has_the_unit(drifting_camera):
-    assert "°C, gains 0.9" in drifting_camera.summary
-    assert "°C" not in replace(drifting_camera, unit="image").summary
 
 
 def test_polynomials_are_orthonormal_and_have_no_mean():

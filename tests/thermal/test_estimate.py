@@ -3,11 +3,10 @@ from dataclasses import replace
 import numpy as np
 
 from tdgbench.scenes import PointCloud, View
-from tdgbench.scenes.synthetic.dataset import read_truth
 from tdgbench.thermal import Unknown, estimate_camera
 from tdgbench.thermal.camera import normalized_truth
 from tdgbench.thermal.maps import evaluate
-from tests.helpers.layouts import celsius
+from tests.helpers.layouts import celsius, read_truth
 
 
 def errors_of(camera, truth):

@@ -3,11 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tdgbench.thermal.expected_errors import Drift
 from tdgbench.thermal.fit import Terms
 from tdgbench.thermal.maps import TERMS
-from tdgbench.thermal.select_terms import choose_terms, fit_selected_terms, held_out_errors, prior_precision
-from tests.helpers.observations import DEGC, NOWHERE, along_a_line, loose, observations
+from tdgbench.thermal.select_terms import choose_terms, fit_selected_terms, held_out_errors
+from tests.helpers.observations import DEGC, NOWHERE, along_a_line, observations
 
 STILL, EVEN, ORDER = np.zeros(12), np.ones(12), np.arange(12.0)
 DRIFT, GAINS = np.linspace(-4, 4, 12), np.tile([0.9, 1.0, 1.1], 4)
@@ -75,11 +74,3 @@ def test_a_drift_is_found_in_the_order_of_the_views():
     found, terms, drift = fit_selected_terms(data, DEGC, ORDER)
     assert terms.offsets and drift.jitter < 0.1 and drift.variance <= DEGC.offsets**2
     assert np.abs(found.response.offsets - found.response.offsets.mean() - DRIFT).max() < 0.05
-
-
-def test_the_prior_of_a_drift_joins_neighbours():
-    data, _ = observations(STILL, EVEN)
-    joined = np.linalg.inv(prior_precision(data, DEGC, Drift(4.0, 0.02, 8.0), ORDER))
-    alone = np.linalg.inv(loose(data))
-    assert joined[0, 1] > joined[0, 5] > 0 == alone[0, 1] and np.array_equal(joined[12:, 12:], alone[12:, 12:])
-    assert np.sqrt(np.diag(alone))[[0, 12]] == pytest.approx([2.0, 0.05])

@@ -7,8 +7,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from tdgbench.bench.machine import PeakMemory
-from tdgbench.training import checkpoint as checkpoint_module
 from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.trainer import Trainer
@@ -202,30 +200,3 @@ def test_a_state_that_cannot_be_loaded_is_not_used(stored, name):
     change(stored.path, *OTHERS[name])
     notes = stored()
     assert len(notes) == 1 and notes[0].startswith("a checkpoint was not used: ") and "damaged" not in notes[0]
-
-
-def test_training_after_a_load_that_failed_gives_the_same_bytes(small_gray_scene, tmp_path):
-    wanted = []
-    for number in range(2):
-        trainer = set_up(small_gray_scene, "tdg")
-        checkpoint = Checkpoint(tmp_path / "a.pt", {}, 0.0)
-        log = checkpoint.resume(trainer)
-        assert len(checkpoint.notes) == number
-        train(trainer, after_iteration=checkpoint.write_if_due, log=log)
-        wanted.append(digest(trainer))
-        change(tmp_path / "a.pt", "parts.views.generator", lambda state: torch.full_like(state, 255))
-    assert wanted[0] == wanted[1]
-
-
-def test_the_digest_of_a_large_file_takes_no_memory(tmp_path):
-    """A file that is mapped counts as memory of the process, a gigabyte for millions of Gaussians."""
-    with (tmp_path / "large").open("wb") as file:
-        file.truncate(400_000_000)
-    assert checkpoint_module._digest(tmp_path / "large", 3) == hashlib.sha256(bytes(3)).digest()
-    with PeakMemory() as before:
-        pass
-    with PeakMemory() as peak:
-        assert len(checkpoint_module._digest(tmp_path / "large", 400_000_000)) == checkpoint_module.DIGEST_BYTES
-    if before.mb is None or peak.mb is None:
-        pytest.skip("this platform does not report the memory of a process")
-    assert peak.mb < before.mb + 100

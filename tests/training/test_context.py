@@ -7,7 +7,7 @@ import pytest
 import torch
 from hydra.utils import instantiate
 
-from tdgbench.training.context import Context, ViewOrder, training_device
+from tdgbench.training.context import Context, ViewOrder
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.part import Part
 from tests.helpers.configs import config
@@ -94,20 +94,9 @@ def test_gaussians_have_further_fields_with_rates(small_gray_scene):
     assert (after.extra_fields["emissivity"] < 0).any() and after.extra_fields["emissivity"].shape == emissivity.shape
 
 
-def test_gaussians_start_where_they_are_told(small_gray_scene):
-    context = context_of(small_gray_scene)
-    start = context.gaussians().copy().map(lambda tensor: tensor[:50])
-    made = context.gaussians(name="fewer", start=start).gaussians
-    assert sorted(made.means.tolist()) == sorted(start.means.tolist())  # rows have an order of their own
-
-
 def test_a_budget_is_shared_out_among_stages(small_scene):
     budget = replace(context_of(small_scene).budget, expected_iterations=600)
     whole = Context(small_scene, small_scene.points, {}, budget, "cpu", 0)
     stage = whole.for_stage(1, 0.25).budget
     assert (stage.iterations, stage.expected_iterations) == (300, 150)
     assert whole.for_stage(0, 1.0).budget == budget and whole.for_stage(0, 1e-9).budget.iterations == 1
-
-
-def test_auto_is_the_cpu():
-    assert training_device("auto") == training_device("cpu") == torch.device("cpu")

@@ -18,14 +18,6 @@ def test_views_have_the_resolution_of_the_iteration(small_scene):
     assert widths == [12, 12, 24, 24, 48] and curriculum.at_resolution(view) is view
 
 
-def test_a_shrunk_view_is_made_once(small_scene):
-    curriculum = Curriculum(STEPS)
-    curriculum.begin(1)
-    first = curriculum.at_resolution(small_scene.train[0])
-    curriculum.begin(2)
-    assert curriculum.at_resolution(small_scene.train[0]) is first
-
-
 def test_held_out_views_are_not_trained_on_until_they_are_folded_back(small_scene):
     views = small_scene.train
     curriculum = Curriculum(held_out=views[1:3])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 import torch
 
 from tdgbench.scenes import Camera, View
-from tdgbench.training.images import MODALITIES, QUANTISATION, RGB, THERMAL, ViewTensors, noise_of
+from tdgbench.training.images import QUANTISATION, RGB, THERMAL, ViewTensors, noise_of
 
 CPU = torch.device("cpu")
 
@@ -36,14 +35,6 @@ def test_masked_pixels_have_no_part_in_the_mean(small_gray_scene):
     assert THERMAL.mean([nothing]) == [0]
 
 
-def test_modalities_have_their_images_and_channels(small_gray_scene, small_scene):
-    assert MODALITIES == {"thermal": THERMAL, "rgb": RGB}
-    assert [one.channels(small_gray_scene) for one in (THERMAL, RGB)] == [1, 3]
-    assert THERMAL.channels(small_scene) == 3
-    view = small_gray_scene.train[0]
-    assert THERMAL.array(view) is view.thermal and RGB.array(view) is view.rgb
-
-
 def test_tensors_of_a_view_share_its_memory_and_are_made_once(small_gray_scene):
     view = masked(small_gray_scene.train[0])
     image, valid = THERMAL.tensors_of(view, CPU)
@@ -63,17 +54,6 @@ def test_a_thermal_mask_says_nothing_about_rgb(small_gray_scene):
 def view(side: int = 20) -> View:
     image = np.random.default_rng(side).random((side, side, 1)).astype(np.float32)
     return View("a", Camera(np.eye(3), np.eye(4), side, side), lambda: image)
-
-
-def test_a_view_has_one_tensor_which_goes_with_it():
-    tensors, one, other = ViewTensors(), view(), view()
-    found = tensors.tensor(one, "thermal", torch.device("cpu"))
-    assert found is tensors.tensor(one, "thermal", torch.device("cpu"))
-    assert found is not tensors.tensor(other, "thermal", torch.device("cpu"))
-    assert np.shares_memory(found.numpy(), one.thermal)
-    del one
-    gc.collect()
-    assert len(tensors._tensors) == 1
 
 
 def test_a_view_that_is_given_another_image_has_another_tensor():

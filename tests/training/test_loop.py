@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.losses import photometric
 from tdgbench.splats.view import Render
 from tdgbench.training.loop import train
 from tdgbench.training.method import Step
@@ -52,11 +51,6 @@ def test_same_seed_same_bytes(small_gray_scene, name):
     assert digest(trained(small_gray_scene, name, seed=1)[0]) != digests[0]
 
 
-def test_sh_degree_rises(small_scene):
-    degrees = [trained(small_scene, "3dgs", n)[0].gaussians["thermal"].degree for n in (24, 26)]
-    assert degrees == [0, 1]
-
-
 def test_every_exact_skip_leaves_the_result_alone(small_gray_scene):
     """Off and on differ by rounding alone, after few enough steps that rounding has not grown."""
     images = []
@@ -66,15 +60,6 @@ def test_every_exact_skip_leaves_the_result_alone(small_gray_scene):
     for other in images[1:]:
         assert (other - images[0]).abs().max() < 2e-4
     assert torch.equal(images[2], images[0])
-
-
-def test_prepared_images_are_kept_for_few_gaussians_alone(small_gray_scene, monkeypatch):
-    limits = []
-    monkeypatch.setattr(photometric._PREPARED, "limit", limits.append)
-    for many in (1, photometric.MANY):
-        monkeypatch.setattr(photometric, "MANY", many)
-        train(ready_to_train(small_gray_scene, "3dgs", 3))
-    assert set(limits[: len(limits) // 2]) == {0} and set(limits[len(limits) // 2 :]) == {photometric.CACHE_BYTES}
 
 
 def test_the_clock_stands_still_while_someone_looks(small_scene):

@@ -7,7 +7,7 @@ import torch
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.losses import photometric as fused
 from tdgbench.splats.cpu.losses.photometric import PreparedTargets
-from tdgbench.splats.torch_losses import Blur, ValidPixels, ssim_map
+from tdgbench.splats.torch_losses import ValidPixels, ssim_map
 from tdgbench.training.losses import (
     inverse_expected_depth,
     l1,
@@ -19,34 +19,6 @@ from tdgbench.training.losses import (
     thermal_loss,
 )
 from tests.helpers.masks import masks
-
-
-@pytest.mark.parametrize("shape", [(40, 30, 1), (37, 53, 3), (11, 11, 1), (1, 1, 3), (5, 90, 1)])
-def test_fused_ssim_is_the_torch_one(shape):
-    g = torch.Generator().manual_seed(0)
-    a = torch.rand(shape, generator=g)
-    b = (a + 0.2 * torch.randn(shape, generator=g)).clamp(0, 1)
-    fused = a.clone().requires_grad_()
-    value = ssim(fused, b)
-    value.backward()
-    exact = a.double().requires_grad_()
-    expected = ssim_map(exact, b.double()).mean()
-    expected.backward()
-    assert value.item() == pytest.approx(expected.item(), abs=1e-6)
-    assert (fused.grad - exact.grad).norm() < 1e-5 * exact.grad.norm()
-
-
-def test_the_window_of_ssim_is_a_convolution():
-    g = torch.Generator().manual_seed(2)
-    images = torch.rand(3, 1, 13, 17, generator=g, dtype=torch.float64).requires_grad_()
-    offsets = torch.arange(11, dtype=torch.float64) - 5
-    weights = torch.exp(-(offsets**2) / (2 * 1.5**2))
-    window = torch.outer(weights, weights) / weights.sum() ** 2
-    expected = torch.nn.functional.conv2d(images, window[None, None], padding=5)
-    upstream = torch.rand(expected.shape, generator=g, dtype=torch.float64)
-    (want,) = torch.autograd.grad(expected, images, upstream)
-    (got,) = torch.autograd.grad(Blur.apply(images), images, upstream)
-    assert torch.allclose(Blur.apply(images), expected, atol=1e-12) and torch.allclose(got, want, atol=1e-12)
 
 
 @pytest.mark.parametrize("reading", ["written", "released"])
@@ -98,10 +70,11 @@ def test_fused_smoothness_is_the_torch_one(reading, shape):
 
 
 @pytest.mark.parametrize("weights", [(0.8, 0.2), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])
-def test_fused_l1_and_dssim_is_the_torch_one(weights):
+@pytest.mark.parametrize("shape", [(30, 23, 3), (37, 53, 1), (11, 11, 1), (1, 1, 3), (5, 90, 1)])
+def test_fused_l1_and_dssim_is_the_torch_one(weights, shape):
     g = torch.Generator().manual_seed(0)
-    image, target = torch.rand(30, 23, 3, generator=g), torch.rand(30, 23, 3, generator=g)
-    target[:5] = image[:5]  # where both are equal the gradient of L1 is zero
+    image, target = torch.rand(shape, generator=g), torch.rand(shape, generator=g)
+    target[: shape[0] // 6] = image[: shape[0] // 6]  # where both are equal the gradient of L1 is zero
     fast, exact = image.clone().requires_grad_(), image.double().requires_grad_()
     a, b = l1_and_dssim(fast, target, *weights), l1_and_dssim(exact, target.double(), *weights)
     (3 * a).backward()

@@ -5,7 +5,7 @@ import io
 import pytest
 import torch
 
-from tdgbench.training.part import Network, RandomStream
+from tdgbench.training.part import Network
 
 
 def mlp() -> torch.nn.Module:
@@ -79,14 +79,3 @@ def test_a_network_slows_down_and_keeps_the_last_factor():
     for network in networks:
         take_steps(network, 1, 3)
     assert bytes_of(networks[0]) == bytes_of(networks[1])
-
-
-def test_a_network_reports_its_size():
-    assert Network(mlp(), 1e-2).report() == {"parameters": 3 * 8 + 8 + 2 * 8 + 8 + 1}
-
-
-def test_a_stream_goes_on_where_it_was():
-    stream, again = RandomStream(5), RandomStream(6)
-    torch.rand(7, generator=stream.generator)
-    again.load_state_dict(stored(stream.state_dict()))
-    assert torch.equal(*(torch.rand(4, generator=one.generator) for one in (stream, again)))

@@ -51,13 +51,6 @@ def test_the_border_of_a_mask_is_no_detail():
     assert [last for last, _ in masked] == pytest.approx([last for last, _ in whole], abs=10)
 
 
-def test_smooth_images_are_whole_at_a_low_resolution_and_fine_ones_are_not():
-    y, x = np.mgrid[:96, :128]
-    coarse, fine = (np.sin(2 * np.pi * (x + y) / period)[..., None] for period in (40, 3))
-    assert significant_amplitudes(coarse, 0.001, SCALES)[0] > 0.7
-    assert significant_amplitudes(fine, 0.001, SCALES)[2] < 0.05
-
-
 def test_noise_has_no_part():
     y, x = np.mgrid[:96, :128]
     coarse = np.sin(2 * np.pi * (x + y) / 40)[..., None]

@@ -3,9 +3,9 @@ import copy
 import pytest
 from hydra.utils import instantiate
 
-from tdgbench.training.budget import SKIP_RULES
+from tdgbench.training.budget import SKIP_RULES, account
 from tdgbench.training.loop import train
-from tdgbench.training.skips import SWITCHES, Finished, Skip, Skips, account
+from tdgbench.training.skips import SWITCHES, Finished, Skip, Skips
 from tests.helpers.configs import config
 from tests.helpers.training import OFTEN, ready_to_train
 
@@ -40,16 +40,6 @@ def test_configurations():
     assert (off, on) == (["gray"], ["depth"])
 
 
-def test_a_skip_is_taken_where_work_is_needless_and_it_is_allowed():
-    gray, rgb, depth = Skip("gray", True), Skip("rgb", True), Skip("depth", False)
-    assert gray.decide(True, "all 40 images are gray", "2 of 3 channels")
-    assert (gray.reason, gray.saved) == ("all 40 images are gray", "2 of 3 channels")
-    assert not rgb.decide(False, "it trains on RGB", "nothing")
-    assert (rgb.taken, rgb.reason, rgb.saved) == (False, "it trains on RGB", "")
-    assert not depth.decide(True, "its weight is 0", "half")
-    assert (depth.taken, depth.reason, depth.saved) == (False, "switched off", "")
-
-
 def test_depth_is_left_out_of_iterations():
     skips = Skips()
     assert skips.skip_depth(6, 10) and skips.depth.saved == "depth and its loss in 6 of 10 iterations"
@@ -65,7 +55,7 @@ def accounted(trainer, log) -> dict[str, Skip]:
     on_rgb = "rgb" in method.modalities
     budget = whole.budget
     finished = Finished(whole.scene, on_rgb, budget.iterations, log.iterations, curricula, work)
-    return {skip.name: skip for skip in account(whole.skips, finished, budget.accounts)}
+    return {skip.name: skip for skip in account(budget, whole.skips, finished)}
 
 
 def after(scene, name="3dgs", **allowed):

@@ -210,9 +210,3 @@ def test_a_colour_below_black(small_scene, every, comes_back):
     base = model.gaussians.sh[:, 0, 0]
     assert bool((base == -4.0).all()) is not comes_back
     assert bool((base > BLACK + 0.001).any()) is comes_back
-
-
-def test_the_report_counts_trained_numbers(small_scene):
-    model = make(small_scene)
-    trained = sum(tensor.numel() for _, tensor in model.gaussians.items())
-    assert model.report()["parameters"] == trained

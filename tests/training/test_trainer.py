@@ -7,14 +7,12 @@ import torch
 
 from tdgbench.training.budget import PlateauRule
 from tdgbench.training.checkpoint import Checkpoint
-from tdgbench.training.context import frames_of
 from tdgbench.training.images import THERMAL
 from tdgbench.training.loop import train
 from tdgbench.training.method import Method, Stage, Step
 from tdgbench.training.part import NonFiniteError
 from tdgbench.training.plateau import Plateau
 from tdgbench.training.trainer import Trainer
-from tests.helpers.training import digest_of_all as digest
 from tests.helpers.training import ready_to_train
 
 ITERATIONS = 60
@@ -114,18 +112,6 @@ def test_a_state_of_another_stage_starts_the_first_one_again_where_it_does_not_f
     assert checkpoint.notes == ["a checkpoint was not used: there is no stage 1"]
 
 
-def test_a_failed_load_in_a_later_stage_restarts_the_first_one(small_gray_scene):
-    trainer = two_stages(small_gray_scene)
-    fresh = digest(trainer)
-    trainer.at_stage(1)
-    assert (trainer.stage_number, trainer.stage.name) == (1, "fine")
-    trainer.restart()
-    assert (trainer.stage_number, trainer.stage_start) == (0, 0) and digest(trainer) == fresh
-    for number in (-1, 2):
-        with pytest.raises(ValueError, match=f"there is no stage {number}"):
-            trainer.at_stage(number)
-
-
 def test_a_rule_of_the_budget_ends_each_stage(small_gray_scene):
     """Iterations of a stage that ended early are not given to the next one."""
     trainer = two_stages(small_gray_scene, "budget.density.start=1000")
@@ -144,7 +130,7 @@ def test_a_gradient_of_a_network_that_is_not_finite_names_part_and_parameter(sma
 
 
 def test_frames_are_numbered_and_timed_in_the_order_of_names(small_scene):
-    frames = frames_of(small_scene)
+    frames = ready_to_train(small_scene, "3dgs", 3).context.frames
     assert list(frames) == sorted(view.name for view in small_scene.views)
     assert [frame.index for frame in frames.values()] == list(range(len(frames)))
     times = [frame.time for frame in frames.values()]

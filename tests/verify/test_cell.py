@@ -52,11 +52,6 @@ def edit(**changes) -> Tampering:
     return act
 
 
-def counts(**gaussians: int) -> dict[str, dict[str, int]]:
-    """Parts of a record that are Gaussians, so many."""
-    return {name: {"gaussians": count} for name, count in gaussians.items()}
-
-
 def with_key(tamper: Tampering) -> Tampering:
     """The tampering, and a key that fits."""
 
@@ -133,19 +128,6 @@ def cameras(change: Callable[[dict], object]) -> Tampering:
     return act
 
 
-def means_without(view: str) -> Tampering:
-    """Remove a view's row, and let the record hold the mean of the others."""
-
-    def act(cell: Path) -> None:
-        rows(lambda table: table.remove(next(row for row in table if row[0] == view)))(cell)
-        with (cell / "views.csv").open(newline="") as stored:
-            left = list(csv.DictReader(stored))
-        scores = {m: None if left[0][m] == "n/a" else float(left[0][m]) for m in left[0] if m != "view"}
-        edit(scores=scores)(cell)
-
-    return act
-
-
 def lose_gaussian(content: bytes) -> bytes:
     head, _, body = content.partition(b"end_header\n")
     return head.replace(b"vertex 300", b"vertex 299") + b"end_header\n" + body[: len(body) // 300 * 299]
@@ -157,40 +139,25 @@ def turned(camera: dict) -> None:
 
 # Tampering, and what verification says. The hashes are made to fit where the third field is true.
 TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
-    "score 99 and no rows": (
-        both(edit(scores__psnr=99.0), rows(lambda t: t.__delitem__(slice(1, None)))), "psnr is 99.0, the pict", True),
     "score 99": (edit(scores__psnr=99.0), "psnr is 99.0, the mean of views.csv is 1", True),
     "score 99 in both": (both(edit(scores__psnr=99.0), field("psnr", "99")), "psnr is 99.0, the pictures give", True),
-    "no pictures": (
-        both(edit(scores__psnr=99.0), lambda c: [shutil.rmtree(c / s) for s in ("renders", "targets")]),
-        f"renders/{VIEW}.png is missing", True),
-    "a view left out": (means_without(VIEW), f"views.csv has no row of the test view {VIEW}", True),
     "a view twice": (rows(lambda t: t.append(t[1])), f"two rows of {VIEW}", True),
     "an invented view": (rows(lambda t: t.append(["new", *t[1][1:]])), "a row of new, which is no test view", True),
     "no test camera": (cameras(lambda c: c["test"].pop(VIEW)), "views.test is 2, cameras.json has 1", True),
     "n/a with a picture": (field("psnr", "n/a"), f"views.csv: psnr of {VIEW} is n/a, its pictures give", True),
     "n/a in the record": (
         both(edit(scores__psnr=None, missing__psnr="no"), field("psnr", "n/a")), "psnr is n/a, the pictures", True),
-    "n/a without reason": (edit(missing={}), "lpips is n/a without a reason", True),
     "a number without weights": (field("lpips", "0.1"), "lpips cannot be computed again: no vgg backbone", True),
-    "temperature error": (field("mae_degC", "0.1"), f"mae_degC of {VIEW} is 0.1, its pictures give", True),
     "temperatures": (edit(temperature_range=[14.0, 15.0]), "mae_degC is 3.", True),
     "depth inconsistency": (field("depth_inconsistency", "0.01"), f"depth_inconsistency of {VIEW} is 0.01, its", True),
-    "depth error": (field("depth_abs_rel", "0.01"), "depth_abs_rel is 0.2", True),
     "no column": (rows(lambda t: [row.pop(2) for row in t]), "views.csv has no column ssim", True),
-    "not a number": (field("psnr", "high"), "psnr of view000 is 'high', which is no finite number", True),
-    "infinite": (field("psnr", "inf"), "psnr of view000 is 'inf', which is no finite number", True),
     "short row": (rows(lambda t: t[1].pop()), "row 2 has 19 fields, the first one 20", True),
-    "views.csv empty": (write("views.csv", b""), "views.csv cannot be read: its first line", True),
     "views.csv missing": (remove("views.csv"), "views.csv cannot be read: it is missing", True),
-    "views.csv not UTF-8": (write("views.csv", b"view,\xff\n"), "views.csv cannot be read: it is not UTF-8", True),
     "a row of the log": (rows(lambda t: t.pop(), "log.csv"), "iterations is 30, log.csv ends at 29", True),
     "log.csv missing": (remove("log.csv"), "log.csv cannot be read: it is missing", True),
-    "log.csv changed": (rows(lambda t: t.pop(3), "log.csv"), "log.csv has changed", False),
     "time": (edit(seconds__train=0.0001), "seconds.train is 0.0001, log.csv ends at", True),
     "iterations": (edit(iterations=20), "iterations is 20, log.csv ends at 30", True),
-    "count of Gaussians": (edit(parts=counts(thermal=10, rgb=300)), "10 for model.ply, which holds 300", True),
-    "no count of Gaussians": (edit(parts=counts(thermal=300)), "gaussians has no count for model_rgb.ply", True),
+    "count of Gaussians": (edit(parts__thermal__gaussians=10), "10 for model.ply, which holds 300", True),
     "a Gaussian less": (write("model.ply", lose_gaussian), "gaussians has 300 for model.ply, which holds 299", True),
     "model cut": (write("model.ply", lambda c: c[:-9]), "model.ply cannot be read: ", True),
     "absurd model": (
@@ -206,36 +173,25 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "picture of zeros": (write(f"targets/{VIEW}.png", bytes(99)), f"targets/{VIEW}.png cannot be read: ", True),
     "decompression bomb": (write(f"renders/{VIEW}.png", bomb), "exceeds limit of", True),
     "target missing": (remove(f"targets/{VIEW}.png"), f"targets/{VIEW}.png is missing", True),
-    "RGB target missing": (remove(f"targets_rgb/{VIEW}.png"), f"targets_rgb/{VIEW}.png is missing", True),
     "foreign picture": (
         lambda c: shutil.copy(c / f"renders/{VIEW}.png", c / "renders/x.png"), "renders/x.png is of no test v", True),
     "foreign file": (write("notes.txt", b""), "notes.txt is not in the record", False),
     "camera": (cameras(lambda c: turned(c["test"][VIEW])), "is not what model.ply gives", True),
     "camera NaN": (cameras(lambda c: c["test"][VIEW]["K"][0].__setitem__(0, float("nan"))), "must be positive", True),
     "camera huge": (cameras(lambda c: c["test"][VIEW].update(width=10**9)), "has 1000000000×36 px", True),
-    "camera number": (cameras(lambda c: c["test"][VIEW]["K"][0].__setitem__(0, 10**400)), "cameras.json cannot", True),
     "camera elsewhere": (cameras(lambda c: c["test"].update({"../x": c["test"][VIEW]})), "'../x' is no name", True),
     "cameras deep": (write("cameras.json", b'{"test":' + b"[" * 100_000), "cameras.json cannot be read", True),
     "views": (edit(views={"train": 9, "test": 2}), "views.train is 9, cameras.json has 8", True),
-    "determinacy of no view": (
-        lambda c: shutil.copy(c / f"determinacy/{VIEW}.png", c / "determinacy/x.png"), "x.png is of no test v", True),
     "channels": (edit(channels=3), "channels is 3, renders/view000.png has 1", True),
-    "no training scores": (edit(train_scores={}), "train_scores lacks psnr", True),
-    "configuration": (edit(config__budget__iterations=40), "its configuration, data and code give", True),
     "no configuration": (with_key(edit(config={})), "its configuration has None", True),
     "scene": (edit(scene="orbit"), "its configuration, data and code give", True),
     "protocol": (edit(protocol="1-00000000"), "protocol is '1-00000000', its settings give", True),
-    "seed": (edit(seed=5), "seed is 5, its configuration has 0", True),
-    "border": (with_key(edit(config__metrics__ssim_border="nosuch")), "config.metrics.ssim_border: Input should", True),
     "metrics": (with_key(edit(config__metrics=[1])), "config.metrics: Input should be a valid dictionary", True),
     "NaN": (edit(environment__load=float("nan")), "record.json holds NaN, which is no number", True),
     "deep record": (write("record.json", b"[" * 100_000), "record.json cannot be read: record.json is not JSON", False),
-    "record of bytes": (write("record.json", b"\xff\xfe"), "record.json cannot be read: it is not UTF-8", False),
-    "record FIFO": (instead("record.json", os.mkfifo), "record.json cannot be read: it is a FIFO", False),
     "model FIFO": (instead("model.ply", os.mkfifo), "model.ply cannot be read: it is a FIFO", False),
     "a table of many rows": (
         write("log.csv", b"iteration,seconds\n" + b"1,1\n" * 200_000), "log.csv cannot be read: it has more", True),
-    "CSV folder": (instead("views.csv", Path.mkdir), "views.csv cannot be read: it is a folder", False),
     "picture loop": (
         instead(f"renders/{VIEW}.png", lambda p: p.symlink_to(p)), f"{VIEW}.png cannot be read: it cannot", False),
     "picture of another size": (

@@ -109,12 +109,3 @@ def test_what_is_no_mask_is_a_problem(cell, spoil, problem):
     rehash(cell)
     found = verify_cell(cell)
     assert problem in "\n".join(found) and all(len(one) < 400 and "Traceback" not in one for one in found)
-
-
-def test_a_record_without_shares_is_read(cell):
-    """Records of earlier versions have none; masks without them are a problem."""
-    content = json.loads((cell / "record.json").read_text())
-    del content["masked"]
-    (cell / "record.json").write_text(json.dumps(content))
-    assert read_record(cell).masked == {}
-    assert [problem for problem in verify_cell(cell) if "masked.test is 0.0" in problem]

@@ -17,7 +17,7 @@ from tdgbench.cells.record import read_record
 from tdgbench.compare.compare_command import main as compare
 from tdgbench.packs import pack
 from tdgbench.scoring.metrics.psnr import psnr_of
-from tdgbench.site.site_command import main as site
+from tdgbench.site.site_pages import main as site
 from tdgbench.verify import truth, verify
 
 OURS = "cells/tdg/synthetic/turntable/colmap/seed0"

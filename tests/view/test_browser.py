@@ -93,23 +93,6 @@ def test_a_click_reads_temperatures(viewer):
     assert len(texts) > 1 and all("°C" in text for text in texts)
 
 
-def test_a_click_on_a_camera_leads_there(viewer):
-    waited(lambda: viewer.is_shown(viewer.expected()), 60, "the picture is the render")
-    cell = viewer.renderer.cells["tdg"]
-    other = cell.test[sorted(cell.test)[1]]
-    from tdgbench.view.poses import size_of
-
-    x, y = other.width / other.K[0, 0] / 2, other.height / other.K[1, 1] / 2
-    ahead = size_of(cell) / np.cbrt(x * y / 3)  # of viser's frustums: as large as a pyramid of that volume
-    (pixel,), (z,) = viewer.camera().project((other.center + ahead * other.world_to_camera[2, :3])[None])
-    assert z > 0
-    viewer.page.click(*pixel)
-    waited(lambda: np.allclose(viewer.position(), other.center, atol=1e-4), 30, "the camera moves")
-    viewer.page.run(PRESS.format("previous"))
-    first = cell.test[sorted(cell.test)[0]]
-    waited(lambda: np.allclose(viewer.position(), first.center, atol=1e-4), 30, "the camera moves back")
-
-
 def test_a_button_leads_to_the_next_view_and_a_drag_away_from_it(viewer):
     cell = viewer.renderer.cells["tdg"]
     second = sorted(cell.test)[1]

@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from tdgbench.training.checkpoint import Checkpoint
-from tdgbench.view.cells import open_cell
+from tdgbench.view.cells import Follower, open_cell
 from tdgbench.view.command import main
-from tdgbench.view.follow import Follower
 from tests.helpers.browser import CHROMIUM, opened
 from tests.helpers.cells import PulledPlugError, run_quietly
 from tests.helpers.configs import QUICK, config

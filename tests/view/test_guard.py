@@ -338,13 +338,6 @@ def test_no_choice_harms_anyone(viewer, label, values):
     assert other.is_served()
 
 
-def test_no_click_harms_anyone(viewer):
-    page = viewer.page()
-    assert page.is_served()
-    page.socket.send(click([-3, 7]))
-    assert page.is_served()
-
-
 def test_an_error_of_the_rendering_is_shown_to_its_client_alone(viewer, monkeypatch):
     page, other = viewer.page(), viewer.page()
     assert page.is_served() and other.is_served()
@@ -370,15 +363,6 @@ def test_an_error_of_a_control_is_shown_to_its_client(viewer):
     assert page.is_told("ValueError: ")
     page.choose("Range, %", [10, 90])
     assert page.is_served()
-
-
-def test_fifty_pages_at_once_are_served(viewer):
-    pages = [viewer.page() for _ in range(50)]
-    for page in pages:
-        page.move()
-    assert all(page.is_served(60) for page in pages)
-    viewer.close()
-    waited(lambda: not viewer.viewer._sessions and not viewer.server.get_clients(), 30, "all are forgotten")
 
 
 def test_a_page_that_leaves_at_once_is_forgotten(viewer, monkeypatch):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
 from tdgbench.cells.read_files import read_picture
 from tdgbench.cells.renders import render_model
@@ -93,12 +92,6 @@ def test_a_pixel_is_read(renderer, camera):
     for x, y, row, column in ((0.0, 0.0, 0, 0), (1.0, 1.0, 35, 47), (0.5, 0.25, 9, 24), (-0.1, 2.0, 35, 0)):
         ((_, value),) = frame.at(x, y)
         assert np.array_equal(value, values[row, column])
-
-
-def test_models_are_activated_once(renderer, camera, monkeypatch):
-    renderer.render(Look("tdg"), camera)
-    monkeypatch.setattr(torch.Tensor, "exp", lambda _: pytest.fail("activated again"))
-    renderer.render(Look("tdg"), camera)
 
 
 def test_guesses_are_blue_as_far_as_training_views_do_not_determine_them(renderer, camera):

@@ -7,14 +7,7 @@ import threading
 import pytest
 
 from tdgbench.view.requests import Requests
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.seconds = 0.0
-
-    def __call__(self) -> float:
-        return self.seconds
+from tests.helpers.waiting import Clock
 
 
 @pytest.fixture

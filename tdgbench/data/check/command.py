@@ -8,8 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from rich.table import Table
+from rich.text import Text
 
-from tdgbench.data.check.alignment import Offset
 from tdgbench.data.check.scenes import SceneCheck, check_scenes, find_place
 from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.layouts import LAYOUTS
@@ -42,7 +42,14 @@ def run(arguments: argparse.Namespace) -> int:
             return 1  # somebody's own capture: a list of the paper's scenes would not help
         say("the paper's scenes:", stderr=True)
     if arguments.json:
-        say(checks_as_json(arguments.root, checks, place.is_paper))
+        content = {
+            "format": 4,
+            "root": str(arguments.root),
+            "scenes_of": "paper" if place.is_paper else "folder",
+            "usable": all(check.status in USABLE for check in checks),
+            "scenes": [asdict(check) for check in checks],
+        }
+        console().print(Text(json.dumps(content, indent=1)), soft_wrap=True)  # `say` would cut what is long
     else:
         print_table(arguments.root, checks)
     return 0 if all(check.status == "ok" for check in checks) else 1
@@ -72,7 +79,8 @@ def _row(check: SceneCheck) -> list[str]:
     name, layout = (one_line(text).replace("[", r"\[") for text in (check.name, check.layout or ""))
     if not check.views:
         return [name, layout, *[""] * 7, status]
-    offset = check.edge_offset
+    offset, span, counts = check.edge_offset, check.temperature_degC, check.counts
+    values = "n/a" if span is None else f"{span[0]:.1f} to {span[1]:.1f} °C"
     return [
         name,
         layout,
@@ -80,40 +88,8 @@ def _row(check: SceneCheck) -> list[str]:
         f"{check.train} + {check.test}",
         ", ".join(f"{width}×{height}" for width, height in check.sizes_px[:2]) + (" …" if check.sizes_px[2:] else ""),
         str(check.channels),
-        _range(check),
+        values if counts is None else f"counts {counts[0]} to {counts[1]}",
         "n/a" if check.masked_share is None else f"{100 * check.masked_share:.1f} %",
-        f"{offset.x:+.1f}, {offset.y:+.1f} ± {offset.spread:.1f}" if isinstance(offset, Offset) else "n/a",
+        "n/a" if offset is None else f"{offset.x:+.1f}, {offset.y:+.1f} ± {offset.spread:.1f}",
         status,
     ]
-
-
-def _range(check: SceneCheck) -> str:
-    """Return what image values 0 and 1 are, in words."""
-    if check.counts is not None:
-        return f"counts {check.counts[0]} to {check.counts[1]}"
-    span = check.temperature_degC
-    return "n/a" if span is None else f"{span[0]:.1f} to {span[1]:.1f} °C"
-
-
-def checks_as_json(root: Path, checks: list[SceneCheck], is_paper: bool) -> str:
-    """Return the check as JSON with stable keys, described in docs/data.md."""
-    scenes = []
-    for check in checks:
-        offset = check.edge_offset
-        known = offset if isinstance(offset, Offset) else None
-        edges = {
-            "edge_offset_px": known and known.px,
-            "edge_offset": known and known._asdict(),
-            "edge_offset_unknown": None if known else offset,
-        }
-        scenes.append(asdict(check) | edges)
-    return json.dumps(
-        {
-            "format": 4,
-            "root": str(root),
-            "scenes_of": "paper" if is_paper else "folder",
-            "usable": all(check.status in USABLE for check in checks),
-            "scenes": scenes,
-        },
-        indent=1,
-    )

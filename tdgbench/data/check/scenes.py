@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import pycolmap
 
-from tdgbench.data.check.alignment import Offset, ViewPair, chosen_views, edge_offset
-from tdgbench.data.check.registration import registration
-from tdgbench.data.check.reprojection import wrong_views
+from tdgbench.data.check.registration import Offset, ViewPair, chosen_views, edge_offset, registration
 from tdgbench.scenes import Dataset, FolderDataset, ReadOptions, RegisteredDataset, Scene, SceneError, registry
+from tdgbench.scenes.colmap.model import FORMATS, model_files
+from tdgbench.scenes.colmap.tables import ImageEntry
 from tdgbench.scenes.datasets import outline_of
 from tdgbench.scenes.formats import SUFFIXES, decode
 from tdgbench.scenes.inputs import is_folder, is_hidden, listed
@@ -22,17 +23,14 @@ from tdgbench.scenes.layouts import LAYOUTS, detect
 from tdgbench.scenes.registry import plain_name
 
 MOST_PROBLEMS = 20  # of a scene, in words
+FEWEST, MOST = 10, 1000  # points of a view by which it is judged
+FAR = 0.05  # median error of a wrong view, × diagonal of the image; COLMAP drops what is 4 px off, some 0.005
+NO_POINT = np.uint64(2**64 - 1)  # of a 2-D point, in place of its point's id
 
 
 @dataclass
 class SceneCheck:
-    """What is known of a scene; the fields are those of the JSON (docs/data.md).
-
-    sizes_px: (width, height) of the views. temperature_degC: of image values 0 and 1. counts: raw counts of them, of
-    scenes without °C. masked_share: of the thermal pixels. edge_offset: of thermal from RGB edges, or why it is not
-    known. problems: what is missing or broken, with the remedy; a scene without one can be used. doubts: what is
-    probably wrong. assumed: how files were read, by key.
-    """
+    """What is known of a scene; the fields are those of the JSON (docs/data.md)."""
 
     name: str
     dataset: str
@@ -49,7 +47,9 @@ class SceneCheck:
     counts: tuple[int, int] | None = None
     masked_share: float | None = None
     points: int | None = None
-    edge_offset: Offset | str | None = None
+    edge_offset_px: float | None = None
+    edge_offset: Offset | None = None
+    edge_offset_unknown: str | None = None
     problems: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
     assumed: dict[str, str] = field(default_factory=dict)
@@ -143,7 +143,8 @@ def _described(scene: Scene, dataset: str) -> SceneCheck:
         notes.append(f"the sparse points do not project to where {len(wrong)} views show them; were cameras edited?")
         wrong = []
     offset, unread = _edge_offset(scene)
-    doubts, uncertain = registration(scene, offset) if isinstance(offset, Offset) else ([], [])
+    known, unknown = (offset, None) if isinstance(offset, Offset) else (None, offset)
+    doubts, uncertain = ([], []) if known is None else registration(scene, known)
     return SceneCheck(
         name=scene.name,
         dataset=dataset,
@@ -159,7 +160,9 @@ def _described(scene: Scene, dataset: str) -> SceneCheck:
         counts=scene.raw_count_range,
         masked_share=float(np.mean([0.0 if view.valid is None else 1 - view.valid.mean() for view in views])),
         points=None if scene.points is None else len(scene.points.points),
-        edge_offset=offset,
+        edge_offset_px=None if known is None else known.px,
+        edge_offset=known,
+        edge_offset_unknown=unknown,
         problems=[*wrong, *unread],
         doubts=[*scene.doubts, *doubts],
         assumed=scene.assumed,
@@ -197,3 +200,47 @@ def _broken_images(scene: Scene, said: str) -> list[str]:
             except SceneError as error:
                 problems.append(str(error))
     return problems
+
+
+def wrong_views(scene: Scene) -> list[str]:
+    """Return a problem per view of the scene's COLMAP model whose points project far from where it shows them.
+
+    Models without 2-D points, and ones that are not read, have none. Points may have been removed.
+    """
+    folder, points = scene.model, scene.points
+    if folder is None or points is None or points.ids is None:
+        return []
+    try:
+        cameras_file, images_file, _ = model_files(folder)
+        reader = FORMATS[cameras_file.suffix]
+        cameras = {
+            row.id: pycolmap.Camera(model=row.model, width=row.width, height=row.height, params=list(row.params))
+            for row in reader.read_cameras(cameras_file)
+        }
+        views = [(row, cameras[row.camera_id]) for row in reader.read_images(images_file, observed=True)]
+    except (SceneError, LookupError, ValueError, TypeError):  # the last of pycolmap, for a size that no camera has
+        return []
+    ids, xyz, problems = points.ids, points.points + scene.origin, []
+    for image, camera in views:
+        shown = image.points[image.points["point"] != NO_POINT]
+        place = np.searchsorted(ids, shown["point"])
+        known = place < len(ids)
+        known[known] = ids[place[known]] == shown["point"][known]
+        if known.sum() < FEWEST:
+            continue
+        sample = np.flatnonzero(known)[:: -(-known.sum() // MOST)]
+        errors = _errors(image, camera, shown["xy"][sample], xyz[place[sample]])
+        share = float(np.median(errors)) / float(np.hypot(camera.width, camera.height))
+        if share > FAR:
+            off = f"project {share:.0%} of the diagonal off" if np.isfinite(share) else "lie behind it"
+            problems.append(
+                f"{image.name}: the points that it shows {off}; its pose or its camera in {folder} is wrong"
+            )
+    return problems
+
+
+def _errors(image: ImageEntry, camera: pycolmap.Camera, xy: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+    """Return how far (N,) px from their places (N, 2) in an image points (N, 3) project; inf for those behind it."""
+    pose = image.pose
+    projected = np.asarray(camera.img_from_cam(xyz @ pose[:, :3].T + pose[:, 3]))
+    return np.where(np.isfinite(projected).all(axis=1), np.hypot(*(xy - projected).T), np.inf)

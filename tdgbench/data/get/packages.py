@@ -46,17 +46,10 @@ def packages_of(
     Files inside the folder of a scene belong to it, archives too. scenes: names; empty: all. Raises GetError for a
     scene that no package is of, and if there is no package.
     """
-    packages, others = _grouped(source, [file for file in files if not _is_junk(file.path)])
-    if not packages:
-        raise GetError(f"{source.page} shows no scene and no zip archive to the public, but {len(others)} other files")
-    return [_alone(source, packages, name) for name in scenes] or packages, others
-
-
-def _grouped(source: PublishedDataset, files: list[RemoteFile]) -> tuple[list[Package], list[PurePosixPath]]:
-    """Return one package per folder of a scene and per archive elsewhere, and the paths of other files."""
+    files = [file for file in files if not _is_junk(file.path)]
     roots = scenes_in(source, [file.path for file in files], source.folder, source.page)
     inside: dict[str, list[RemoteFile]] = {name: [] for name in roots}
-    packages, others = [], []
+    archives, others = [], []
     for file in files:
         path, stem = file.path, file.path.stem
         scene = next((name for name, root in roots.items() if root in path.parents), None)
@@ -64,11 +57,14 @@ def _grouped(source: PublishedDataset, files: list[RemoteFile]) -> tuple[list[Pa
             inside[scene].append(file)
         elif path.suffix.lower() == ".zip":
             is_whole = plain_name(stem).startswith(plain_name(source.folder))  # of the data set, not of one scene
-            packages.append(Package(str(path), [file], None if is_whole else source.scene(stem), is_archive=True))
+            archives.append(Package(str(path), [file], None if is_whole else source.scene(stem), is_archive=True))
         else:
             others.append(path)
     folders = [(str(root) if root.parts else name, name) for name, root in roots.items()]
-    return [Package(title, inside[name], name, is_archive=False) for title, name in folders] + packages, others
+    packages = [*(Package(title, inside[name], name, is_archive=False) for title, name in folders), *archives]
+    if not packages:
+        raise GetError(f"{source.page} shows no scene and no zip archive to the public, but {len(others)} other files")
+    return [_alone(source, packages, name) for name in scenes] or packages, others
 
 
 def _alone(source: PublishedDataset, packages: list[Package], name: str) -> Package:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Annotated, NamedTuple
 
 import gdown
 import requests
-from pydantic import BaseModel, Field, NonNegativeInt
+from pydantic import AliasPath, BaseModel, Field, NonNegativeInt
 
 from tdgbench import __version__
 from tdgbench.archives import safe_path
@@ -34,13 +33,12 @@ class BadFileError(GetError):
     """One file cannot be used; the others can still be fetched."""
 
 
-@dataclass(frozen=True)
-class PublishedDataset:
+class PublishedDataset(NamedTuple):
     """A published data set.
 
-    folder: of the data set in a data root. page: the address for a browser, which ends in the identifier of a Zenodo
-    record or of a Google Drive folder. authors: whom to ask if it is gone. known: when the address was last known to
-    work or not, and by whom. holds: what, and under which licence.
+    folder: in a data root. page: the address for a browser, which ends in the identifier of a Zenodo record or of a
+    Google Drive folder. authors: whom to ask if it is gone. known: when the address was last known to work or not, and
+    by whom. holds: what, and under which licence.
     """
 
     dataset: str
@@ -113,28 +111,13 @@ class _Entry(BaseModel):
     links: dict[str, str]
 
 
-class _Licence(BaseModel):
-    id: str
-
-
-class _Metadata(BaseModel):
-    license: _Licence | None = None
-
-
 class _ZenodoRecord(BaseModel):
     files: list[_Entry]
-    metadata: _Metadata = _Metadata()
+    licence: str = Field("", validation_alias=AliasPath("metadata", "license", "id"))
 
 
-class Listing(NamedTuple):
-    """The published files of a data set, and the licence that their record states, or an empty text."""
-
-    files: list[RemoteFile]
-    licence: str = ""
-
-
-def list_files(source: PublishedDataset, zenodo: str = ZENODO) -> Listing:
-    """Return what is published of a data set. Raises GetError.
+def list_files(source: PublishedDataset, zenodo: str = ZENODO) -> tuple[list[RemoteFile], str]:
+    """Return the published files of a data set, and the licence that their record states. Raises GetError.
 
     zenodo: address of Zenodo, or of a mirror that speaks its API. Google gives neither sizes nor sums to a program
     without an account; gdown >= 6 lists any number of files (before, a list ended after 50: its pull request 453).
@@ -146,13 +129,12 @@ def list_files(source: PublishedDataset, zenodo: str = ZENODO) -> Listing:
                 id=identifier, quiet=True, use_cookies=False, skip_download=True, timeout=TIMEOUT
             )
             paths = [(safe_path(Path(one.path).as_posix()), one.id) for one in found if not isinstance(one, str)]
-            return Listing([RemoteFile(path, f"{DRIVE}/uc?id={key}", 0, f"drive:{key}") for path, key in paths])
+            return [RemoteFile(path, f"{DRIVE}/uc?id={key}", 0, f"drive:{key}") for path, key in paths], ""
         url = f"{zenodo.rstrip('/')}/api/records/{identifier}"
         answer = requests.get(url, headers={"User-Agent": AGENT}, timeout=TIMEOUT)
         answer.raise_for_status()
         record = _ZenodoRecord.model_validate_json(answer.content)
-        files = [RemoteFile(safe_path(e.key), e.links["self"], e.size, e.checksum) for e in record.files]
-        return Listing(files, "" if record.metadata.license is None else record.metadata.license.id)
+        return [RemoteFile(safe_path(e.key), e.links["self"], e.size, e.checksum) for e in record.files], record.licence
     except (*FAILURES, KeyError, ValueError) as error:  # pydantic's are ValueError
         raise GetError(f"the files of {source.folder} cannot be listed: {_reason(error)}") from error
 

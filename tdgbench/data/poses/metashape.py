@@ -12,12 +12,12 @@ import zipfile
 from collections import Counter
 from collections.abc import Collection
 from pathlib import Path
-from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from tdgbench.data.poses import Reference
 from tdgbench.scenes.camera import pose_at
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tdgbench.scenes.errors import SceneError
@@ -41,57 +41,40 @@ def read_xml(path: Path) -> Element:
         return ElementTree.fromstring(content)
 
 
-class Chunk(NamedTuple):
-    """Aligned, enabled cameras, by label. poses: world to camera (4, 4). lenses: the id of each one's lens.
-
-    notes: what of the file was left out or composed, in words.
-    """
-
-    poses: dict[str, np.ndarray]
-    lenses: dict[str, int]
-    notes: list[str]
-
-
-def read_chunk(root: Element, path: Path) -> Chunk:
-    """Return the cameras of a chunk, in the chunk's own frame. Raises SceneError.
+def read_metashape(path: Path) -> Reference:
+    """Read the aligned, enabled cameras of a chunk, by label, in the chunk's own frame. Raises SceneError.
 
     Components have worlds of their own: poses are of the one with most cameras.
     """
+    root = read_xml(path)
     if (chunks := len([*root.iter("chunk")])) > 1:
         raise SceneError(f"{path} holds {chunks} chunks; export the cameras of one")
-    cameras, sensors = _by_id(root, "camera"), _by_id(root, "sensor")
+    cameras, sensors = ({one.get("id"): one for one in root.iter(tag)} for tag in ("camera", "sensor"))
     places = {key: _place(one, cameras, sensors, path) for key, one in cameras.items()}
     placed = {key: place for key, place in places.items() if place is not None}
     enabled = [key for key in placed if cameras[key].get("enabled") not in ("0", "false")]
-    kept = _largest_component(enabled, cameras)
-    chunk = Chunk({}, {}, [])
+    masters = {key: cameras.get(cameras[key].get("master_id"), cameras[key]) for key in enabled}
+    components = {key: master.get("component_id") for key, master in masters.items()}
+    largest = Counter(components.values()).most_common(1)
+    kept = [key for key in enabled if components[key] == largest[0][0]]
+    poses, lens_ids = {}, {}
     for key in kept:
         label = cameras[key].get("label", "")
-        if label in chunk.poses:
+        if label in poses:
             raise SceneError(f"{path} has two cameras labelled {label}; disable those of one sensor, and export again")
-        chunk.poses[label] = pose_at(placed[key][:3, 3], placed[key][:3, :3].T)
-        chunk.lenses[label] = _lens_id(sensors.get(cameras[key].get("sensor_id")))
-    composed = sum(cameras[key].find("transform") is None for key in kept)
+        poses[label] = pose_at(placed[key][:3, 3], placed[key][:3, :3].T)
+        lens_ids[label] = _lens_id(sensors.get(cameras[key].get("sensor_id")))
     said = {
         "are disabled, and left out": len(placed) - len(enabled),
         "belong to smaller components, and are left out": len(enabled) - len(kept),
-        "are slaves of a multi-camera system: their poses are composed of their masters' and their sensor's": composed,
+        "are slaves of a multi-camera system: their poses are composed of their masters' and their sensor's": sum(
+            cameras[key].find("transform") is None for key in kept
+        ),
     }
-    chunk.notes.extend(f"{number} cameras {what}" for what, number in said.items() if number)
+    notes = [f"{number} cameras {what}" for what, number in said.items() if number]
     if any(block.find("transform") is not None for block in (*root.iter("chunk"), *root.iter("component"))):
-        chunk.notes.append("poses are in the chunk's own frame: its georeference and scale are not applied")
-    return chunk
-
-
-def _by_id(root: Element, tag: str) -> dict[str | None, Element]:
-    return {one.get("id"): one for one in root.iter(tag)}
-
-
-def _largest_component(keys: list[str | None], cameras: dict[str | None, Element]) -> list[str | None]:
-    """Return the cameras, of some, that the component with most of them holds; a slave is in its master's."""
-    component = {key: cameras.get(cameras[key].get("master_id"), cameras[key]).get("component_id") for key in keys}
-    largest = Counter(component.values()).most_common(1)
-    return [key for key in keys if component[key] == largest[0][0]]
+        notes.append("poses are in the chunk's own frame: its georeference and scale are not applied")
+    return Reference(poses, lambda *ids: lenses(root, path, *ids), None, lens_ids, notes)
 
 
 def _place(

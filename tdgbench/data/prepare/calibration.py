@@ -47,7 +47,7 @@ def checked_lenses(found: Iterable[CameraEntry], path: Path) -> tuple[CameraEntr
     """Return the cameras of a file, each as the simplest model. Raises SceneError for none, or numbers of no camera."""
     found = tuple(dict.fromkeys(found))
     if not found:
-        raise SceneError(f"{path} holds no calibration; give one of Metashape, OpenCV or COLMAP (docs/data.md)")
+        raise SceneError(f"{path} holds no calibration; give one of Metashape, OpenCV or COLMAP (docs/prepare.md)")
     for camera in found:
         to_pinhole(camera, f"{path}: the calibration")
     full = [camera for camera in found if camera.model == "FULL_OPENCV" and not any(camera.params[8:])]

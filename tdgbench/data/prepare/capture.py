@@ -54,13 +54,12 @@ class Kind(NamedTuple):
         return sizes + by + ("" if self.is_celsius else " without temperatures") + (" in one file" * self.is_one_file)
 
 
-@dataclass(frozen=True)
-class ViewContent:
+class ViewContent(NamedTuple):
     """Content of a view's files.
 
     thermal: (H, W) float64 °C with NaN where invalid; or (H, W, C) float32 in [0, 1] of shown images. rgb: (h, w, 3)
-    float32 in [0, 1], if it is looked for. mapping: as a FLIR file states it, of its own photo. assumed: about the
-    files, with what they state of their temperatures.
+    float32 in [0, 1], if it is looked for. mapping: where the thermal image lies in the photo inside a FLIR file.
+    assumed: about the files, with what they state of their temperatures.
     """
 
     kind: Kind
@@ -72,11 +71,7 @@ class ViewContent:
 
 
 class CapturedView(NamedTuple):
-    """A view of a capture.
-
-    image: file of the picture that COLMAP sees, in the capture's folder. taken: how, as of this picture. mapping: where
-    the thermal image lies in the photo inside its file, where the file states it.
-    """
+    """A view of a capture, as `ViewContent`. image: file of the picture that COLMAP sees, in the capture's folder."""
 
     image: str
     taken: Taken
@@ -90,11 +85,6 @@ class Capture:
     folder: Path
     kind: Kind
     views: dict[str, CapturedView] = field(default_factory=dict)
-
-    @property
-    def images(self) -> list[str]:
-        """The files of the pictures that COLMAP sees."""
-        return [view.image for view in self.views.values()]
 
     def rgb(self, view: str) -> np.ndarray | None:
         """Return the RGB image (h, w, 3), float32 in [0, 1], if there is one."""
@@ -129,7 +119,8 @@ def read_capture(
     assumed: dict[str, Sequence[str]] = {}  # by view
     with step("files to read", len(sources.views)) as count:
         for index, files in enumerate(sources.views):
-            entry = _entry(files, thermal_alone)
+            rgb, origin = "" if thermal_alone else str(files.rgb or "inside"), str(files.origin or "")
+            entry = FileReport(str(files.thermal), rgb, files.view, "written", origin=origin)
             report.files.append(entry)
             try:
                 content = read_view(files, scale, thermal_alone)
@@ -147,12 +138,6 @@ def read_capture(
     report.thermal_size = capture.kind.thermal
     report.assumptions += _assumed(folder, capture, assumed)
     return capture
-
-
-def _entry(files: ViewFiles, thermal_alone: bool) -> FileReport:
-    rgb = "inside" if files.rgb is None else str(files.rgb)
-    origin = "" if files.origin is None else str(files.origin)
-    return FileReport(str(files.thermal), "" if thermal_alone else rgb, files.view, "written", origin=origin)
 
 
 def _keep_main_kind(folder: Path, capture: Capture, kinds: dict[Kind, list[FileReport]]) -> None:
@@ -195,20 +180,30 @@ def read_view(files: ViewFiles, scale: CountScale, thermal_alone: bool = False) 
     own = agreed_scale(path, decoded.header, scale) if has_counts else scale
     may_be_shown = thermal_alone or decoded.header.format == "PNG"
     is_celsius = decoded.header.meaning == "°C" or (has_counts and (own.is_known or not may_be_shown))
-    thermal = celsius_of(decoded, path, scale) if is_celsius else _shown(decoded, path)
+    thermal = celsius_of(decoded, path, scale) if is_celsius else unit_image(decoded, path)
+    if not is_celsius and decoded.valid is not None:
+        thermal[~decoded.valid] = np.nan
     taken, size = _taken(files), thermal.shape[1::-1]
     kind = Kind(
         size if rgb is None else rgb.shape[1::-1], size, thermal.ndim == 2, rgb is not None and files.rgb is None,
         thermal_alone, taken.camera, decoded.header.format if has_counts else "",
     )  # fmt: skip
-    return ViewContent(
-        kind, thermal, rgb, taken, mapping, _stated(decoded, files, _settings(decoded, path, own, scale))
-    )
+    return ViewContent(kind, thermal, rgb, taken, mapping, _stated(decoded, files, own, scale))
 
 
-def _stated(decoded: Decoded, files: ViewFiles, settings: str) -> list[str]:
-    """Return what files state and what is assumed about them. settings: of the temperatures; empty if unknown."""
+def _stated(decoded: Decoded, files: ViewFiles, own: CountScale, given: CountScale) -> list[str]:
+    """Return what files state, as FLIR's settings, a converter's, or TLinear, and what is assumed about them."""
     rgb = [] if files.rgb is None else header(files.rgb, as_picture=True).assumed
+    if found := decoded.settings:
+        settings = (
+            f"emissivity {found['emissivity']:.2f}, distance {found['object_distance']:g} m, reflected "
+            f"{found['reflected_apparent_temperature'] - 273.15:.1f} °C, window transmission "
+            f"{found['ir_window_transmission']:.2f}"
+        )
+    elif own != given:
+        settings = f"TLinear, °C = counts × {own.degC_per_count:g} - 273.15"
+    else:
+        settings = converted_with(files.thermal)
     lines = [
         f"temperatures are the object's, as set in the camera or its converter: {settings}" if settings else "",
         *decoded.header.assumed, *(f"RGB: {words}" for words in rgb), decoded.lost,
@@ -226,14 +221,6 @@ def _photo(files: ViewFiles, decoded: Decoded) -> tuple[np.ndarray, PhotoMapping
             "beside it, or name both by --pairs, or find poses in thermal images alone, by --sfm thermal"
         )
     return decoded.photo.astype(np.float32) / 255, decoded.mapping
-
-
-def _shown(decoded: Decoded, path: Path) -> np.ndarray:
-    """Return what an image shows (H, W, C), in [0, 1]; NaN where nothing was measured."""
-    image = unit_image(decoded, path)
-    if decoded.valid is not None:
-        image[~decoded.valid] = np.nan
-    return image
 
 
 def _taken(files: ViewFiles) -> Taken:
@@ -282,15 +269,3 @@ def _store(capture: Capture, files: ViewFiles, content: ViewContent, index: int)
         Image.fromarray(np.round(content.rgb * 255).astype(np.uint8)).save(capture.folder / name)
     np.save(capture.folder / f"{name}.npy", content.thermal.astype(np.float32))
     capture.views[files.view] = CapturedView(name, content.taken, content.mapping)
-
-
-def _settings(decoded: Decoded, path: Path, own: CountScale, given: CountScale) -> str:
-    """Say what a file itself states of its temperatures: FLIR's settings, a converter's, or TLinear."""
-    settings = decoded.settings
-    if settings:
-        return (
-            f"emissivity {settings['emissivity']:.2f}, distance {settings['object_distance']:g} m, reflected "
-            f"{settings['reflected_apparent_temperature'] - 273.15:.1f} °C, window transmission "
-            f"{settings['ir_window_transmission']:.2f}"
-        )
-    return f"TLinear, °C = counts × {own.degC_per_count:g} - 273.15" if own != given else converted_with(path)

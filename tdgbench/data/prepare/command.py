@@ -6,9 +6,8 @@ import argparse
 import math
 import re
 import shlex
-from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar, get_args
+from typing import get_args
 
 from tdgbench.data.prepare.calibration import read_calibration
 from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
@@ -19,7 +18,6 @@ from tdgbench.scenes.formats import PhotoMapping
 from tdgbench.scenes.temperature import CountScale
 from tdgbench.terminal import say
 
-T = TypeVar("T", int, float)
 FEW = 0.5  # of the files: with fewer views the command does not say how to train
 
 
@@ -39,17 +37,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     place("--homography", type=Path, metavar="FILE", help="9 numbers, from RGB to thermal px (OpenCV)")
     add("--sfm", choices=("rgb", "thermal"), default="rgb", help="images that COLMAP sees; thermal needs no RGB images")
     model = parser.add_mutually_exclusive_group().add_argument
-    model("--poses", type=Path, metavar="FILE", help="of these images, by another program (docs/data.md)")
+    model("--poses", type=Path, metavar="FILE", help="of these images, by another program (docs/prepare.md)")
     lens = parser.add_mutually_exclusive_group().add_argument
-    lens("--focal", type=positive(number), metavar="PX", help="focal length of these images; default: estimated")
-    lens("--calibration", type=Path, metavar="FILE", help="lens of these images (docs/data.md)")
+    lens("--focal", type=number, metavar="PX", help="focal length of these images; default: estimated")
+    lens("--calibration", type=Path, metavar="FILE", help="lens of these images (docs/prepare.md)")
     add("--refine", action="store_true", help="begin with that lens, or --poses'; default: it is kept")
     model("--no-sfm", action="store_true", help="stop after extraction, without a COLMAP model")
     add("--matching", choices=get_args(Matching), default="exhaustive", metavar="HOW",
         help="exhaustive, sequential (by name), nearest (GPS, poses)")  # fmt: skip
     add("--camera-model", choices=CAMERA_MODELS, default="SIMPLE_RADIAL", metavar="NAME", help=", ".join(CAMERA_MODELS))
     add("--seed", type=int, default=0, metavar="N", help="of COLMAP; equal results need --threads 1, too")
-    add("--threads", type=positive(int), metavar="N", help="of COLMAP; default: all processors")
+    add("--threads", type=int, metavar="N", help="of COLMAP; default: all processors")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -79,6 +77,9 @@ def next_steps(out: str, report: Report) -> list[str]:
 
 def _options(given: argparse.Namespace) -> PrepareOptions:
     """Return the options of a preparation. Raises SceneError for options that contradict each other."""
+    for name in ("focal", "threads"):
+        if (value := getattr(given, name)) is not None and value <= 0:
+            raise SceneError(f"--{name} {value} is not positive")
     if given.degC_per_count == 0:
         raise SceneError("--degC-per-count is 0; it must be the °C of one count")
     if given.degC_at_zero != 0 and given.degC_per_count is None:
@@ -107,15 +108,3 @@ def number(text: str) -> float:
     if not math.isfinite(value):
         raise argparse.ArgumentTypeError(f"{text} is not finite")
     return value
-
-
-def positive(kind: Callable[[str], T]) -> Callable[[str], T]:
-    """Return the type of an option that is a positive number."""
-
-    def number(text: str) -> T:  # argparse names it in its messages
-        value = kind(text)
-        if not value > 0:
-            raise argparse.ArgumentTypeError(f"{text} is not positive")
-        return value
-
-    return number

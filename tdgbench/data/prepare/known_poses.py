@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pycolmap
 
-from tdgbench.data.poses.references import Reference
+from tdgbench.data.folders import Stages
+from tdgbench.data.poses import Reference
 from tdgbench.data.prepare.calibration import start_camera
 from tdgbench.data.prepare.capture import Capture
 from tdgbench.data.prepare.places import centres_of
 from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Size
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, cloud, counts, matched, pipeline, quiet
-from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.modalities import LABELS

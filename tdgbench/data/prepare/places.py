@@ -100,22 +100,23 @@ def to_metres(model: pycolmap.Reconstruction, positions: dict[str, np.ndarray], 
     return f"the model is in metres by GPS, {where} {fit}, {error.max():.2f} m at most", True
 
 
-def doubted_by_height(poses: list[np.ndarray], points: np.ndarray, heights: list[float], focal: float) -> str | None:
-    """Return what is to be said of a focal length (px) that contradicts how high a drone flew; None if it does not.
+def doubted_by_height(known: list[tuple[np.ndarray, float]], points: np.ndarray, focal: float) -> list[str]:
+    """Return what is to be said of a focal length (px) that contradicts how high a drone flew.
 
-    Pictures straight down on flat ground do not settle it: all grows with it but what is seen. poses: world to camera
-    (4, 4), in m, z up, of cameras that state heights above where they took off, in m. points: (N, 3).
+    Pictures straight down on flat ground do not settle it: all grows with it but what is seen. known: poses, world to
+    camera (4, 4), in m, z up, with heights above where the drone took off, in m. points: (N, 3).
     """
+    poses, heights = zip(*known, strict=True)
     if not len(points) or np.median([-pose[2, 2] for pose in poses]) < DOWN:
-        return None
+        return []
     found, stated = np.median(centres_of(poses)[:, 2]) - np.median(points[:, 2]), float(np.median(heights))
     if stated <= 0 or found <= 0 or 1 / MOST_OFF < stated / found < MOST_OFF:
-        return None
-    return (
+        return []
+    return [
         f"the focal length is doubtful: the cameras lie {found:.0f} m above the points, by their files {stated:.0f} m "
         f"above where they took off. If the ground is as high there, it is nearer to {focal * stated / found:.0f} px: "
         "say it by --focal PX"
-    )
+    ]
 
 
 def _exif_gps(tags: dict[int, Any]) -> GPS | None:

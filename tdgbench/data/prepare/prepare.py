@@ -12,7 +12,7 @@ import pycolmap
 from PIL import Image
 from pydantic import ConfigDict, TypeAdapter
 
-from tdgbench.data.new_folder import new_folder
+from tdgbench.data.folders import Stages, new_folder
 from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare.calibration import checked_lenses, exif_focal
 from tdgbench.data.prepare.capture import Capture, Kind, read_capture, too_few, write_pictures
@@ -23,7 +23,6 @@ from tdgbench.data.prepare.report import Report
 from tdgbench.data.prepare.resample import Grid, Mapping, from_file, inside_photo, make_grid, no_distortion, same_view
 from tdgbench.data.prepare.sfm import FEWEST_IMAGES, SfmOptions, Structure, reconstruct
 from tdgbench.data.prepare.sources import find_sources
-from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap import write_model
@@ -142,7 +141,14 @@ def _structure(
     if len(capture.views) < FEWEST_IMAGES:
         raise too_few(folder, len(capture.views), report)
     if poses is None:
-        structure = _reconstruct(capture, stages, _with_lens(sfm, report, capture.kind), positions)
+        sfm = _with_lens(sfm, report, capture.kind)
+        names = [view.image for view in capture.views.values()]
+        structure = reconstruct(capture.folder, names, stages, sfm, positions)
+        heights = {view.image: view.taken.height for view in capture.views.values() if view.taken.height is not None}
+        known_heights = [(structure.poses[image], heights[image]) for image in structure.poses if image in heights]
+        if structure.is_in_metres and known_heights:
+            focal, points = structure.camera.mean_focal_length(), structure.points.points
+            structure.notes.extend(doubted_by_height(known_heights, points, focal))
     else:
         reference = read_reference(poses)
         known = known_poses(poses, reference, capture, report)
@@ -154,19 +160,6 @@ def _structure(
             raise SceneError(f"{poses} states no lens: say it by --calibration FILE or --focal PX")
         structure = structure_of(known, capture.folder, capture.kind.rgb, stages, sfm)
     _note_structure(structure, capture, report)
-    return structure
-
-
-def _reconstruct(capture: Capture, stages: Stages, options: SfmOptions, positions: np.ndarray | None) -> Structure:
-    """Return what COLMAP finds; a focal length that contradicts the height of a drone is reported."""
-    structure = reconstruct(capture.folder, capture.images, stages, options, positions)
-    heights = {view.image: view.taken.height for view in capture.views.values() if view.taken.height is not None}
-    known = [image for image in structure.poses if image in heights]
-    if structure.is_in_metres and known:
-        poses, stated = [structure.poses[image] for image in known], [heights[image] for image in known]
-        focal = structure.camera.mean_focal_length()
-        doubt = doubted_by_height(poses, structure.points.points, stated, focal)
-        structure.notes.extend([] if doubt is None else [doubt])
     return structure
 
 
@@ -189,18 +182,13 @@ def _with_lens(options: SfmOptions, report: Report, kind: Kind) -> SfmOptions:
         what = f"focal length {options.focal:g} px" if options.focal is not None else "known lens"
         report.assumptions.append(f"{what}, {'which COLMAP refines' if options.refine else 'which is kept'}")
         return options
-    focal = _exif_focal(report, kind)
+    paths = [Path(one.rgb or one.origin or one.file) for one in report.written if one.rgb != "inside"]
+    stated = {exif_focal(path, kind.rgb) for path in paths if kind.is_thermal_alone or path.suffix.lower() not in JPEG}
+    focal = stated.pop() if len(stated) == 1 else None
     if focal is None:
         return options
     report.assumptions.append(f"COLMAP begins with the focal length that the files' EXIF data state, {focal:.0f} px")
     return replace(options, focal=focal, refine=True, is_of_exif=True)
-
-
-def _exif_focal(report: Report, kind: Kind) -> float | None:
-    """Return the focal length in px that the EXIF data of all files state alike, if they do."""
-    paths = [Path(one.rgb or one.origin or one.file) for one in report.written if one.rgb != "inside"]
-    stated = {exif_focal(path, kind.rgb) for path in paths if kind.is_thermal_alone or path.suffix.lower() not in JPEG}
-    return stated.pop() if len(stated) == 1 else None
 
 
 def _choose_mapping(capture: Capture, options: PrepareOptions) -> tuple[Mapping, dict[str, Mapping]]:
@@ -240,7 +228,7 @@ def _note_structure(structure: Structure, capture: Capture, report: Report) -> N
 def _write_views(
     part: Path, capture: Capture, grid: Grid, mapping: Mapping, own: dict[str, Mapping], report: Report
 ) -> None:
-    """Resample and write the views that are in the scene. mapping: of thermal images but those of `own`, by view."""
+    """Resample and write the views of the scene. mapping: of thermal images but those of `own`, by view."""
     written = report.written
     with step("views to write", len(written)) as count:
         for index, one in enumerate(written):
@@ -250,15 +238,14 @@ def _write_views(
             if not valid.any():
                 raise SceneError(f"{one.file}: no measured pixel lies inside the scene's images; leave the view out")
             one.invalid = float(1 - valid.mean())
-            write_view(part, one.view, rgb, thermal, valid)
+            _write_view(part, one.view, rgb, thermal, valid)
             count(index + 1)
 
 
-def write_view(folder: Path, name: str, rgb: np.ndarray | None, thermal: np.ndarray, valid: np.ndarray) -> None:
+def _write_view(folder: Path, name: str, rgb: np.ndarray | None, thermal: np.ndarray, valid: np.ndarray) -> None:
     """Write the images of a view, and a mask where a pixel is invalid: 255 for measured pixels, else 0.
 
-    rgb: (H, W, 3) in [0, 1], or None. thermal: (H, W) °C, written as float TIFF; or (H, W, C) in [0, 1], as 16-bit gray
-    or 8-bit colour PNG. valid: (H, W) bool.
+    °C (H, W) become float TIFF; values (H, W, C) in [0, 1], as RGB images are, 16-bit gray or 8-bit colour PNG.
     """
     files = {}
     if rgb is not None:

@@ -35,20 +35,16 @@ class Mapping:
     assumption: str
     stated: PhotoMapping | None = None  # the same as ratio and offset, unless it is more than these
 
-    def apply(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return thermal x and y of RGB positions of any shape, in px."""
-        points = np.einsum("ij,j...->i...", self.thermal_from_rgb, np.stack([x, y, np.ones_like(x)]))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return points[0] / points[2], points[1] / points[2]
-
     def indices(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and columns in the thermal image of rows and columns in the RGB image (pixel indices)."""
-        x, y = self.apply(columns + 0.5, rows + 0.5)
-        return y - 0.5, x - 0.5
+        """Return rows and columns in the thermal image of those in the RGB image, of any shape (pixel indices)."""
+        places = np.stack([columns + 0.5, rows + 0.5, np.ones_like(rows)])
+        x, y, w = np.einsum("ij,j...->i...", self.thermal_from_rgb, places)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return y / w - 0.5, x / w - 0.5
 
 
 def same_view(rgb: Size, thermal: Size) -> Mapping:
-    """Return the mapping of images that show the same field of view. Raises SceneError if their aspect ratios differ.
+    """Return the mapping of images of one field of view. Raises SceneError if their aspect ratios differ.
 
     >>> same_view((640, 480), (320, 240)).thermal_from_rgb.diagonal()
     array([0.5, 0.5, 1. ])
@@ -118,7 +114,6 @@ class Grid:
 
     @property
     def size(self) -> Size:
-        """Width and height of the output."""
         return self.rows.shape[1], self.rows.shape[0]
 
     def camera(self, world_to_camera: np.ndarray) -> Camera:
@@ -149,9 +144,8 @@ class Grid:
 def make_grid(source: pycolmap.Camera, mapping: Mapping, thermal: Size) -> Grid:
     """Return the grid of the part of the undistorted RGB image that the thermal image covers.
 
-    source: camera of the RGB images; where no model is known, `no_distortion`. thermal: size of the thermal images. One
-    pixel of the output is one of the thermal image, but never finer than the RGB image. Raises SceneError if the
-    thermal image lies outside of the RGB image.
+    source: camera of the RGB images. thermal: size of the thermal images. One pixel of the output is one of the thermal
+    image, but never finer than the RGB image. Raises SceneError if the thermal image lies outside of the RGB image.
     """
     whole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), source)
     rows, columns = mapping.indices(*Undistortion(source, whole, "the RGB camera").positions)

@@ -14,9 +14,9 @@ from typing import Literal, get_args
 import numpy as np
 import pycolmap
 
+from tdgbench.data.folders import Stages
 from tdgbench.data.prepare.calibration import FOCALS, start_camera
 from tdgbench.data.prepare.places import nearest_pairs, to_metres
-from tdgbench.data.prepare.stages import Stages
 from tdgbench.data.progress import step
 from tdgbench.scenes import PointCloud, SceneError
 from tdgbench.scenes.colmap.tables import CameraEntry

@@ -21,8 +21,7 @@ OF_VIEWS = ("", CELSIUS)  # products that a view is read from
 THERMAL, WIDE = ("T",), ("V", "W")  # DJI's lenses; Z, zoom, does not show what they do
 
 
-@dataclass(frozen=True)
-class ViewFiles:
+class ViewFiles(NamedTuple):
     """Files of one view. rgb: None if the photo is inside the thermal file, or not looked for.
 
     origin: the camera's file that another program computed the thermal one of; it states position and camera.
@@ -120,7 +119,10 @@ def _pair(images: _Images, thermal_alone: bool, sources: Sources) -> None:
     by_number, unclear = paired_by_number(thermal.keys() - rgb.keys(), rgb.keys() - thermal.keys())
     for view, path in thermal.items():
         photo = rgb.get(by_number.get(view, view))
-        if photo is not None or thermal_alone or _may_hold_photo(path):
+        holds_photo = False
+        with suppress(SceneError):
+            holds_photo = path.suffix.lower() in JPEG and _is_radiometric(path)
+        if photo is not None or thermal_alone or holds_photo:
             sources.views.append(ViewFiles(view, path, photo, computed_of(path)))
         else:
             sources.left_out[path] = unclear.get(view, f"no RGB image is named {view}")
@@ -145,7 +147,7 @@ def _sort(folder: Path, modality: str, images: _Images, sources: Sources) -> Non
         view, _ = shot_and_lens(_name(path.name))
         check_view_name(view, f"{folder}: the file {path.name!r}")
         try:
-            is_thermal = modality == "thermal" if modality else is_radiometric(path)
+            is_thermal = modality == "thermal" if modality else _is_radiometric(path)
         except SceneError as error:
             sources.left_out[path] = str(error)
             continue
@@ -170,15 +172,9 @@ def _name(file: str) -> str:
     return unicodedata.normalize("NFC", Path(file).stem)
 
 
-def is_radiometric(path: Path) -> bool:
+def _is_radiometric(path: Path) -> bool:
     """Return whether a file is thermal by its content: counts or °C. 16-bit PNG may be anything. Raises SceneError."""
     if path.suffix.lower() == RAW:
         return True
     found = header(path)
     return found.meaning != "shown" and found.format != "PNG"
-
-
-def _may_hold_photo(path: Path) -> bool:
-    with suppress(SceneError):
-        return path.suffix.lower() in JPEG and is_radiometric(path)
-    return False

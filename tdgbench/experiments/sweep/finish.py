@@ -7,8 +7,8 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from tdgbench.bench.outcome import SUCCESS, Outcome
-from tdgbench.experiments.error_message import error_message
+from tdgbench.bench.failures import error_message
+from tdgbench.bench.progress import SUCCESS, Outcome
 from tdgbench.present.strip import draw_strip
 from tdgbench.report.report_page import in_order, write_report
 from tdgbench.tables import methods

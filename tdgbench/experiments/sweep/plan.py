@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench.options import OptionError, check_options, names_to_text
 from tdgbench.cells.plan import (
@@ -26,6 +26,7 @@ from tdgbench.cells.plan import (
 from tdgbench.experiments.experiment import prepare_prior
 from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import Dataset, Description, SceneError
+from tdgbench.tables.measures import entries_of
 from tdgbench.terminal import say
 from tdgbench.text import without_folders
 
@@ -33,43 +34,51 @@ from tdgbench.text import without_folders
 def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
     """Write the plan of a sweep, and print the number of its cells, all missing scenes, and missing priors.
 
-    Returns the number of cells, and of those whose scene is not on disk. Raises SystemExit(1) for an unknown scene.
+    Returns the number of cells, or of scenes where the sweeper decides on the cells, and how many of them are not on
+    disk. Raises SystemExit(1) for an unknown scene.
     """
+    composed: dict[tuple[str, ...], DictConfig] = {}
     try:
-        scenes, missing = _scenes_of(cfg)
+        scenes, missing = _scenes_of(cfg, configs_by(cfg, ("dataset", "data"), composed))
     except SceneError as error:
         say(str(error), "error:", stderr=True)
         raise SystemExit(1) from error
-    for message in unavailable_priors(configs_by(cfg, ("method", "dataset", "prior"))):
+    for message in unavailable_priors(configs_by(cfg, ("method", "dataset", "prior"), composed)):
         say(f"{message}\n  cells of methods without a prior run", "error:", stderr=True)
-    jobs = number_of_jobs(cfg) or max(len(scenes), 1)
-    without_data = missing * jobs // max(len(scenes), 1)
+    known = number_of_jobs(cfg)
+    jobs = known or max(len(scenes), 1)
+    without_data = round(missing * jobs)
     if jobs > 1:
-        say(f"{cfg.name}: {jobs} cells, {without_data} without data", stderr=True)
-    plan = _plan_of(cfg, list(dict.fromkeys(scenes)), jobs - without_data if number_of_jobs(cfg) else 0)
+        counted = "scenes" if known is None else "cells"
+        say(f"{cfg.name}: {jobs} {counted}, {without_data} of them without data", stderr=True)
+    plan = _plan_of(cfg, list(dict.fromkeys(scenes)), jobs - without_data if known else 0)
     experiment = Path(cfg.results) / cfg.name
     before = _plan_before(experiment)
     plan.commands = [*(one for one in before.commands if one.words != plan.commands[0].words), *plan.commands]
     plan.own_methods = before.own_methods | _own_methods(cfg)
+    plan.own_metrics = before.own_metrics
+    for one in filter(_is_allowed, configs_by(cfg, ("metrics",), composed)):
+        plan.own_metrics |= entries_of(OmegaConf.select(one, "metrics.extra") or ())
     plan.write(experiment)  # for the tables
     plan.write(Path(cfg.hydra.sweep.dir))  # for the jobs: another sweep may replace the other one meanwhile
     return jobs, without_data
 
 
-def _scenes_of(cfg: DictConfig) -> tuple[list[Description], int]:
-    """Return the scenes of each data set of a sweep, and how many are not on disk, which is printed.
+def _scenes_of(cfg: DictConfig, by_dataset: Iterable[DictConfig]) -> tuple[list[Description], float]:
+    """Return the scenes of each data set of a sweep, and the share of its cells whose scene is not on disk.
 
+    Scenes that are not are printed. Cells with options that are not allowed fail by themselves: they are none of these.
     Raises SceneError for an unknown scene.
     """
-    scenes, missing = list[Description](), 0
-    for one in filter(_is_allowed, configs_by(cfg, ("dataset", "data"))):
+    scenes, missing, configs = list[Description](), 0.0, list(by_dataset)
+    for one in filter(_is_allowed, configs):
         dataset: Dataset = instantiate(one.dataset.loader)
         described = [dataset.describe(name) for name in swept(cfg).get("scene") or [one.scene]]
         absent = dataset.missing([scene.scene for scene in described])
         if absent:
             say(dataset.explain_missing(absent), "error:", stderr=True)
         scenes += described
-        missing += sum(scene.scene in absent for scene in described)
+        missing += sum(scene.scene in absent for scene in described) / len(described) / len(configs)
     return scenes, missing
 
 

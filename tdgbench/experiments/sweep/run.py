@@ -17,12 +17,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from pydantic import TypeAdapter
 
+from tdgbench.bench.failures import error_message
 from tdgbench.bench.options import check_method_name
-from tdgbench.bench.outcome import Outcome
-from tdgbench.bench.progress import CellProgress
+from tdgbench.bench.progress import CellProgress, Outcome
 from tdgbench.bench.run_cell import run_cell
 from tdgbench.cells.plan import number_of_jobs, plan_of_job, read_plan
-from tdgbench.experiments.error_message import error_message
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.sweep.plan import plan_sweep
 from tdgbench.files import content_of, write_text

@@ -106,22 +106,18 @@ def to_pinhole(entry: CameraEntry, where: str) -> tuple[Camera, Undistortion | N
     )
     if not source.focal_length_idxs():  # pycolmap crashes where such a camera is asked for its focal length
         raise SceneError(f"{where} is {entry.model}, which no pinhole can show; render the scene with pinholes")
-    _check_intrinsics(source, where)
+    as_it_is = _without_distortion(source, where)
     if entry.model in PINHOLES:
-        return _at_origin(source), None
+        return as_it_is, None
     try:
         pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), source)
     except Exception as error:
         raise SceneError(f"{where} cannot be undistorted: {error}. Correct the model") from error
-    _check_intrinsics(pinhole, f"{where}, undistorted,")
-    return _at_origin(pinhole), Undistortion(source, pinhole, where)
+    return _without_distortion(pinhole, f"{where}, undistorted,"), Undistortion(source, pinhole, where)
 
 
-def _check_intrinsics(camera: pycolmap.Camera, where: str) -> None:
+def _without_distortion(camera: pycolmap.Camera, where: str) -> Camera:
     focal = camera.focal_length_x, camera.focal_length_y
     principal = camera.principal_point_x, camera.principal_point_y
     check_intrinsics(camera.width, camera.height, focal, principal, where)
-
-
-def _at_origin(camera: pycolmap.Camera) -> Camera:
     return Camera(np.array(camera.calibration_matrix()), np.eye(4), camera.width, camera.height)

@@ -16,16 +16,30 @@ from PIL import Image
 from tdgbench.files import opened
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.fillers import impossible
-from tdgbench.scenes.formats.arrays import ARRAY
 from tdgbench.scenes.formats.decoded import NO_SCALE, Decoded, Depth, Format, Header, PhotoMapping, Source
 from tdgbench.scenes.formats.dji import DJI
 from tdgbench.scenes.formats.flir import FLIR
 from tdgbench.scenes.formats.pictures import PICTURE, pillow
 from tdgbench.scenes.formats.tiff import TIFF
 from tdgbench.scenes.formats.unread import EXPORT
-from tdgbench.scenes.inputs import decoding, read_bytes, regular_file
+from tdgbench.scenes.inputs import array_header, array_in, decoding, read_bytes, regular_file
 from tdgbench.scenes.temperature import TEMPERATURES, CountScale
 
+
+def _array_header(source: Source) -> Header:
+    shape, kind = array_header(source.file)
+    if len(shape) not in (2, 3) or shape[2:] not in ((), (1,)) or 0 in shape:
+        raise SceneError(f"{source.path} has the shape {shape}; temperatures are (H, W) or (H, W, 1), one per pixel")
+    depth, meaning = ("float", "°C") if kind.kind == "f" else ("16-bit", "counts")
+    return Header("array", shape[1], shape[0], depth, meaning)  # type: ignore[arg-type]
+
+
+def _decode_array(source: Source) -> Decoded:
+    values, header = array_in(source.file, source.path), _array_header(source)
+    return Decoded(values.reshape(header.height, header.width, 1), header.checked(source.path))
+
+
+ARRAY = Format("array", (), lambda source: source.head.startswith(b"\x93NUMPY"), _array_header, _decode_array)
 FORMATS: tuple[Format, ...] = (ARRAY, TIFF, FLIR, DJI, PICTURE)
 SUFFIXES = tuple(suffix for one in reversed(FORMATS) for suffix in one.suffixes)
 MOST_COUNTS = 65535  # of 16 bits
@@ -39,9 +53,9 @@ __all__ = ["FORMATS", "MOST_COUNTS", "NO_SCALE", "SUFFIXES", "Decoded", "Depth",
 
 def header(path: Path, as_picture: bool = False) -> Header:
     """Return what a file says of its pixels, without decoding them. Raises SceneError naming the file."""
-    with _decoding(path), opened(regular_file(path)) as file:
+    with decoding(path, "an image", EXPORT), opened(regular_file(path)) as file:
         source = Source(path, file, as_picture)
-        return _format(source).header(source).checked(path)
+        return next(one for one in FORMATS if one.fits(source)).header(source).checked(path)
 
 
 def decode(path: Path, as_picture: bool = False) -> Decoded:
@@ -49,15 +63,15 @@ def decode(path: Path, as_picture: bool = False) -> Decoded:
 
     as_picture: of a camera's JPEG, the picture that viewers show, not what was measured.
     """
-    with _decoding(path):
+    with decoding(path, "an image", EXPORT):
         source = Source(path, io.BytesIO(read_bytes(path)), as_picture)
-        return _format(source).decode(source)
+        return next(one for one in FORMATS if one.fits(source)).decode(source)
 
 
 @contextmanager
 def metadata(path: Path) -> Iterator[tuple[Image.Exif, bytes]]:
     """Yield EXIF data and XMP of an image. Raises SceneError naming the file."""
-    with _decoding(path), opened(regular_file(path)) as file, pillow(Source(path, file)) as image:
+    with decoding(path, "an image", EXPORT), opened(regular_file(path)) as file, pillow(Source(path, file)) as image:
         yield image.getexif(), image.info.get("xmp", b"")
 
 
@@ -124,13 +138,3 @@ def raw_counts(values: np.ndarray, path: Path) -> np.ndarray:
     if values.min() < 0 or values.max() > MOST_COUNTS:
         raise SceneError(f"{path} has values outside 0 to {MOST_COUNTS}; say what they mean: degC_per_count")
     return values
-
-
-def _format(source: Source) -> Format:
-    return next(one for one in FORMATS if one.fits(source))
-
-
-@contextmanager
-def _decoding(path: Path) -> Iterator[None]:
-    with decoding(path, "an image", EXPORT):
-        yield

@@ -27,6 +27,9 @@ MOST_RECORDS = 4096  # of a file; cameras write 2 to 100
 VERSIONS = range(100, 200)  # of the file format, by which ExifTool's FLIR.pm tells the byte order
 NAME = "FLIR radiometric JPEG"
 REMEDY = "copy it again from the camera, or leave it out"
+RAW_DATA, PHOTO, CAMERA_INFO, MAPPING = 1, 14, 32, 42  # types of records, by ExifTool's FLIR.pm
+
+Record = tuple[int, int, int, int]  # as flyr's parsers take it: place in the directory, type, offset, length in bytes
 
 
 def _fits(source: Source) -> bool:
@@ -37,8 +40,7 @@ def _fits(source: Source) -> bool:
 
 def _header(source: Source) -> Header:
     with decoding(source.path, f"a {NAME}", REMEDY):
-        stream, records = _records(source)
-        return _header_of(stream, records).checked(source.path)
+        return _records(source)[2]
 
 
 def _decode(source: Source) -> Decoded:
@@ -47,77 +49,63 @@ def _decode(source: Source) -> Decoded:
         return _decode_records(source)
 
 
-def _header_of(stream: BinaryIO, records: dict[int, tuple[int, int, int, int]]) -> Header:
-    from flyr.records import RecordIndex
-
-    return Header(NAME, *_raw_size(stream, records[RecordIndex.RAW_DATA.value]), "float", "°C")
-
-
-def _records(source: Source) -> tuple[BinaryIO, dict[int, tuple[int, int, int, int]]]:
-    """Return the file inside the JPEG's segments, and its records by type. Raises SceneError where one is missing."""
-    from flyr.records import RecordIndex, extract_flir_app1
+def _records(source: Source) -> tuple[BinaryIO, dict[int, Record], Header]:
+    """Return the file inside the JPEG's segments, its records by type, and the header. Raises SceneError."""
+    from flyr.records import extract_flir_app1
 
     source.file.seek(0)
     stream = extract_flir_app1(io.BytesIO(source.file.read()))
     records = _directory(stream, source.path)
-    for needed in (RecordIndex.RAW_DATA, RecordIndex.CAMERA_INFO):
-        if needed.value not in records:
-            what = f"a FLIR segment without {needed.name.lower()}"
-            raise SceneError(f"{source.path} has {what}; use the camera's original file")
-    return stream, records
+    for needed, what in ((RAW_DATA, "raw_data"), (CAMERA_INFO, "camera_info")):
+        if needed not in records:
+            raise SceneError(f"{source.path} has a FLIR segment without {what}; use the camera's original file")
+    header = Header(NAME, *_raw_size(stream, records[RAW_DATA]), "float", "°C")
+    return stream, records, header.checked(source.path)
 
 
 def _decode_records(source: Source) -> Decoded:
     from flyr.embedded_image import parse_embedded_image
     from flyr.picture_in_picture import parse_pip_info
-    from flyr.records import RecordIndex
     from flyr.thermal import parse_camera_info
     from flyr.thermogram import FlyrThermogram
 
-    stream, records = _records(source)
-    header = _header_of(stream, records).checked(source.path)
-    settings = parse_camera_info(stream, records[RecordIndex.CAMERA_INFO.value])
-    counts = _raw_counts(stream, records[RecordIndex.RAW_DATA.value], source.path)
+    stream, records, header = _records(source)
+    settings = parse_camera_info(stream, records[CAMERA_INFO])
+    counts = _raw_counts(stream, records[RAW_DATA], source.path)
     photo, mapping, lost = None, None, ""
-    if RecordIndex.EMBEDDED_IMAGE.value in records:
+    if PHOTO in records:
         try:
-            photo = _as_rgb(parse_embedded_image(stream, records[RecordIndex.EMBEDDED_IMAGE.value])[2])
+            photo = _as_rgb(parse_embedded_image(stream, records[PHOTO])[2])
         except Exception as error:  # of flyr and Pillow, of many kinds; the temperatures do not depend on it
             lost = f"its embedded photo cannot be decoded ({type(error).__name__})"
-    if RecordIndex.PICTURE_IN_PICTURE_INFO.value in records:
-        pip = parse_pip_info(stream, records[RecordIndex.PICTURE_IN_PICTURE_INFO.value])
+    if MAPPING in records:
+        pip = parse_pip_info(stream, records[MAPPING])
         mapping = PhotoMapping(float(pip.real_to_ir), int(pip.offset_x), int(pip.offset_y))
     celsius = FlyrThermogram(counts, settings).celsius.astype(np.float64)
     stated = {key: float(value) for key, value in settings.items()}
     return Decoded(celsius[..., None], header, None, photo, lost, mapping, stated)
 
 
-def _directory(stream: BinaryIO, path: Path) -> dict[int, tuple[int, int, int, int]]:
-    """Return records by type, as flyr's parsers take them: place in the directory, type, offset and length in bytes.
-
-    Zenmuse XT writes the directory little-endian, other cameras big-endian; flyr reads the latter alone.
-    """
+def _directory(stream: BinaryIO, path: Path) -> dict[int, Record]:
+    """Return records by type. Zenmuse XT writes their directory little-endian, which flyr does not read."""
     header = stream.read(0x20)
     order = next((order for order in "><" if struct.unpack_from(f"{order}I", header, 0x14)[0] in VERSIONS), None)
     start, count = (0, MOST_RECORDS + 1) if order is None else struct.unpack_from(f"{order}II", header, 0x18)
     if count > MOST_RECORDS:
-        raise SceneError(f"{path} has a damaged FLIR directory; copy it again from the camera, or leave it out")
+        raise SceneError(f"{path} has a damaged FLIR directory; {REMEDY}")
     stream.seek(start)
     entries = struct.iter_unpack(f"{order}HHIIIIIII", stream.read(32 * count))
     return {entry[0]: (32 * place, entry[0], entry[4], entry[5]) for place, entry in enumerate(entries) if entry[0] > 0}
 
 
-def _raw_size(stream: BinaryIO, record: tuple[int, int, int, int]) -> tuple[int, int]:
+def _raw_size(stream: BinaryIO, record: Record) -> tuple[int, int]:
     stream.seek(record[2] + 2)
     width, height = struct.unpack("<HH", stream.read(4))
     return width, height
 
 
-def _raw_counts(stream: BinaryIO, record: tuple[int, int, int, int], path: Path) -> np.ndarray:
-    """Return counts (H, W) of the raw record. Byte order of a PNG is the one whose neighbours differ less.
-
-    Cameras write the 16-bit PNG in either order; flyr assumes swapped bytes.
-    """
+def _raw_counts(stream: BinaryIO, record: Record, path: Path) -> np.ndarray:
+    """Return counts (H, W). A 16-bit PNG has either byte order: it is the one whose neighbours differ less."""
     width, height = _raw_size(stream, record)
     stream.seek(record[2] + 32)
     payload = stream.read(record[3])

@@ -11,7 +11,6 @@ import struct
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import imagecodecs
 import numpy as np
@@ -61,11 +60,13 @@ def picture_header(source: Source) -> Header:
 
 
 def _header_of(image: Image.Image, source: Source) -> Header:
-    _check_one_picture(image, source.path)
+    frames = getattr(image, "n_frames", 1)
+    if image.format != "MPO" and frames > 1:  # a JPEG with further pictures shows its first
+        raise SceneError(f"{source.path} holds {frames} pictures; a view is one. Save one of them")
     is_deep = image.mode in COUNT_MODES or _deep_colour_type(source) is not None
     depth: Depth = "16-bit" if is_deep else "8-bit"
     meaning: Meaning = "counts" if is_deep else "shown"
-    return Header(str(image.format), *image.size, depth, meaning, assumed=(*_orientation(image), *_profile(image)))
+    return Header(str(image.format), *image.size, depth, meaning, assumed=_not_applied(image))
 
 
 def decode_picture(source: Source) -> Decoded:
@@ -91,7 +92,6 @@ def decode_picture(source: Source) -> Decoded:
 
 
 def _decode_deep(source: Source, header: Header) -> Decoded:
-    """Decode a PNG of several 16-bit channels."""
     source.file.seek(0)
     values = imagecodecs.png_decode(source.file.read())
     if values.dtype != np.uint16 or values.shape[:2] != (header.height, header.width) or values.ndim != 3:
@@ -113,27 +113,20 @@ def _deep_colour_type(source: Source) -> int | None:
     return colour_type if depth == 16 and colour_type in (RGB_TYPE, GRAY_ALPHA, RGB_ALPHA) else None
 
 
-def _check_one_picture(image: Image.Image, path: Path) -> None:
-    """Raise SceneError for an animation. A JPEG with further pictures (MPO) shows its first."""
-    frames = getattr(image, "n_frames", 1)
-    if image.format != "MPO" and frames > 1:
-        raise SceneError(f"{path} holds {frames} pictures; a view is one. Save one of them")
-
-
-def _orientation(image: Image.Image) -> tuple[str, ...]:
-    stated = image.getexif().get(ExifTags.Base.Orientation, 1) if image.format in ("JPEG", "MPO", "WEBP") else 1
-    return () if stated == 1 else (f"pixels as stored: EXIF orientation {str(stated)[:9]} is not applied",)
-
-
-def _profile(image: Image.Image) -> tuple[str, ...]:
-    content = image.info.get("icc_profile")
-    if not content:
-        return ()
-    try:
-        name = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(content))).strip()
-    except (ImageCms.PyCMSError, OSError):  # metadata that is damaged
-        name = "unknown"
-    return () if "srgb" in name.lower() or "gray" in name.lower() else (f"colour profile {name[:60]!r} is not applied",)
+def _not_applied(image: Image.Image) -> tuple[str, ...]:
+    """Return what a picture states in vain."""
+    said, content = [], image.info.get("icc_profile")
+    turned = image.getexif().get(ExifTags.Base.Orientation, 1) if image.format in ("JPEG", "MPO", "WEBP") else 1
+    if turned != 1:
+        said.append(f"pixels as stored: EXIF orientation {str(turned)[:9]} is not applied")
+    if content:
+        try:
+            name = ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(content))).strip()
+        except (ImageCms.PyCMSError, OSError):  # metadata that is damaged
+            name = "unknown"
+        if not ("srgb" in name.lower() or "gray" in name.lower()):
+            said.append(f"colour profile {name[:60]!r} is not applied")
+    return tuple(said)
 
 
 PICTURE = Format(

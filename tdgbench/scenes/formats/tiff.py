@@ -98,23 +98,18 @@ def _header_of(page: TiffPage, number: int | None, source: Source) -> Header:
     depth: Depth = "8-bit" if kind.itemsize == 1 else "float" if is_float else "16-bit"
     meaning: Meaning = "shown" if kind.itemsize == 1 else "°C" if is_float else "counts"
     if meaning != "shown":
-        _check_bands(page, is_float, path)
-        _check_unscaled(page, path)
+        _check_measured(page, is_float, path)
     scale = _tlinear(page) if meaning == "counts" else NO_SCALE
     return Header("TIFF", page.imagewidth, page.imagelength, depth, meaning, scale, turned)
 
 
-def _check_bands(page: TiffPage, is_float: bool, path: Path) -> None:
-    """Raise SceneError for a number of bands that no image of more than 8 bits has."""
+def _check_measured(page: TiffPage, is_float: bool, path: Path) -> None:
+    """Raise SceneError for a number of bands that no image of more than 8 bits has, and for values that GDAL scales."""
     bands = page.samplesperpixel - len([one for one in page.extrasamples if one in ALPHA])
     if bands not in (1, 3):
         raise SceneError(f"{path} has {bands} bands of {page.bitspersample} bits; an image has 1 or 3. Save one band")
     if is_float and bands == 3:
         raise SceneError(f"{path} has 3 bands of float values; temperatures in °C are one. Save one band")
-
-
-def _check_unscaled(page: TiffPage, path: Path) -> None:
-    """Raise SceneError for values that GDAL scales."""
     gdal = {role: float(text) for role, text in SCALED.findall(str(page.tags.valueof(GDAL_METADATA, ""))[:100_000])}
     if (gdal.get("scale", 1.0), gdal.get("offset", 0.0)) != (1, 0):
         raise SceneError(
@@ -153,7 +148,9 @@ def _decode(source: Source) -> Decoded:
     if header.meaning == "shown" and is_inverted:
         values = np.uint8(255) - values
     if nodata is not None:
-        valid = _both(valid, np.asarray(_is_data(values, str(nodata)).all(axis=2)))
+        none = float(str(nodata).strip("\0 "))
+        is_data = ~np.isnan(values) if math.isnan(none) else values != values.dtype.type(none)
+        valid = _both(valid, np.asarray(is_data.all(axis=2)))
     return Decoded(values, header, valid)
 
 
@@ -163,11 +160,6 @@ def _check_values(values: np.ndarray, header: Header, path: Path) -> None:
         raise SceneError(f"{path} has counts beyond ±{LARGEST}; export it with 16 bits, or as float TIFF in °C")
     if header.meaning == "shown" and values.shape[2] not in (1, 3):
         raise SceneError(f"{path} has {values.shape[2]} bands of 8 bits; an image has 1 or 3. Save one band")
-
-
-def _is_data(values: np.ndarray, nodata: str) -> np.ndarray:
-    number = float(nodata.strip("\0 "))
-    return np.asarray(~np.isnan(values) if math.isnan(number) else values != values.dtype.type(number))
 
 
 def _both(first: np.ndarray | None, second: np.ndarray | None) -> np.ndarray | None:

@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from tdgbench.scenes.colmap import RegisteredImage, read_model
 from tdgbench.scenes.colmap.model import read_images
 from tdgbench.scenes.colmap.tables import ImageEntry
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import SUFFIXES
+from tdgbench.scenes.formats import SUFFIXES
 from tdgbench.scenes.inputs import check_view_name, is_folder, is_there, listed, regular_file
 from tdgbench.scenes.names import about_unread, key, of_modality, pair, view_names
 from tdgbench.scenes.scene import PointCloud
@@ -75,10 +74,9 @@ class Layout:
 def find_scene(
     folder: Path, places: Iterable[str], title: str, modality: tuple[str, str], thermal: Images, rgb: Images
 ) -> SceneFiles:
-    """Pair the images of a scene with its COLMAP model, below the first of `places` that has one.
+    """Pair the images of a scene with its COLMAP model, below the first of `places` that has one. Raises SceneError.
 
     modality: folders of images with the thermal images' poses and of others in the model's names, where it has both.
-    Raises SceneError.
     """
     kept = {one: thermal.paths[one] for one in of_modality(thermal.paths, *modality)}
     if apart := thermal.paths.keys() - kept.keys():
@@ -89,7 +87,7 @@ def find_scene(
     shown = by_view(folder, thermal, posed)
     pictures, unpaired = _registered_pairs(folder, rgb, posed, others)
     files = [*(path for path in listed(place) if path.is_file()), *([folder / FILE] if is_there(folder / FILE) else [])]
-    masks, about = find_masks(folder, posed, (shown.paths, pictures))
+    masks, about = find_masks(folder, posed, (shown.paths, pictures), {})
     return SceneFiles(
         posed, points, shown.paths, pictures, shown.shipped, read_radiometry(folder / FILE), files=files,
         notes=[*thermal.notes, *rgb.notes, *notes, *unpaired], masks=masks, assumed={**assumed, **about}, model=place,
@@ -139,8 +137,8 @@ def _registered_pairs(
 
     An RGB image whose pose or lens is another one is no registered pair.
     """
-    files = pair(rgb.paths, _keys(posed), f"{folder}: RGB")
-    own = {file: others[name] for name, file in pair(rgb.paths, _keys(others), f"{folder}: RGB").items()}
+    files, in_others = (pair(rgb.paths, _keys(some), f"{folder}: RGB") for some in (posed, others))
+    own = {file: others[name] for name, file in in_others.items()}
     apart = {view for view, file in files.items() if others and not _same_camera(own.get(file), posed[view])}
     notes = [
         f"{len(apart)} RGB images have no pose and lens in the model that equal the thermal image's, so they are no "
@@ -150,9 +148,11 @@ def _registered_pairs(
 
 
 def _same_camera(one: RegisteredImage | None, other: RegisteredImage) -> bool:
-    if one is None or one.lens != other.lens:
-        return False
-    return np.allclose(one.camera.world_to_camera, other.camera.world_to_camera, rtol=0, atol=SAME_POSE)
+    return (
+        one is not None
+        and one.lens == other.lens
+        and np.allclose(one.camera.world_to_camera, other.camera.world_to_camera, rtol=0, atol=SAME_POSE)
+    )
 
 
 def find_images(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> Images:
@@ -211,38 +211,30 @@ def by_view(folder: Path, images: Images, posed: Mapping[str, RegisteredImage]) 
 
 
 def find_masks(
-    folder: Path, posed: Mapping[str, RegisteredImage], images: Iterable[Mapping[str, Path]],
-    stated: Mapping[str, Path] = MappingProxyType({}),
-) -> tuple[dict[str, Mask], dict[str, str]]:  # fmt: skip
+    folder: Path, posed: Mapping[str, RegisteredImage], images: Iterable[Mapping[str, Path]], stated: Mapping[str, Path]
+) -> tuple[dict[str, Mask], dict[str, str]]:
     """Return masks by view name, and what is assumed about them. Raises SceneError for two masks of a view.
 
     images: by view name, beside which masks may lie. stated: masks that a file names, by view name.
     """
-    masks: dict[str, Mask] = {}
-    counts: Counter[str] = Counter()
-    for source, view, mask in _masks(folder, posed, images, stated):
-        if masks.setdefault(view, mask) != mask:
-            raise SceneError(f"{mask.path} and {masks[view].path} are both masks of view {view}; keep one of them")
-        regular_file(mask.path)
-        counts[source] += 1
-    said = "; ".join(f"{source} ({count} files)" for source, count in counts.items())
-    return masks, {MASKS: said} if said else {}
-
-
-def _masks(
-    folder: Path, posed: Mapping[str, RegisteredImage], images: Iterable[Mapping[str, Path]], stated: Mapping[str, Path]
-) -> Iterator[tuple[str, str, Mask]]:
-    """Yield what hides, view and mask. Arguments as of `find_masks`."""
-    yield from (("mask_path: black hides", view, Mask(path)) for view, path in stated.items())
+    found = [("mask_path: black hides", view, Mask(path)) for view, path in stated.items()]
     elsewhere = {*stated.values()}
     paths = {one: path for one, path in find_images(folder / MASKS).paths.items() if path not in elsewhere}
     for is_double in (False, True):  # 1.png, and 1.png.png of 1.png
         part = {key(one): path for one, path in paths.items() if (key(one) != one) == is_double}
-        for view, path in by_view(folder, Images(part, {}, []), posed).paths.items():
-            yield f"{MASKS}/: black hides", view, Mask(path)
+        of_views = by_view(folder, Images(part, {}, []), posed).paths
+        found += [(f"{MASKS}/: black hides", view, Mask(path)) for view, path in of_views.items()]
     for view, image in (one for part in images for one in part.items()):
         if is_there(beside := image.with_name(f"{DYNAMIC}{image.stem}.png")):
-            yield f"{DYNAMIC}*.png: what is not black hides", view, Mask(beside, inverted=True)
+            found.append((f"{DYNAMIC}*.png: what is not black hides", view, Mask(beside, inverted=True)))
+    masks: dict[str, Mask] = {}
+    for _, view, mask in found:
+        if masks.setdefault(view, mask) != mask:
+            raise SceneError(f"{mask.path} and {masks[view].path} are both masks of view {view}; keep one of them")
+        regular_file(mask.path)
+    counts = Counter(source for source, _, _ in found)
+    said = "; ".join(f"{source} ({count} files)" for source, count in counts.items())
+    return masks, {MASKS: said} if said else {}
 
 
 def _keys(posed: Mapping[str, RegisteredImage]) -> dict[str, str]:

@@ -1,12 +1,9 @@
 """Folders of images beside a COLMAP model: RGBT-Scenes of ThermalGaussian, the layout of most captures, and TI-NSD.
 
-RGBT-Scenes: chen-hangyu/Thermal-Gaussian-main 050c291, scene/dataset_readers.py and README.md: `rgb` and `thermal`,
-each with `train` and `test`; views of the COLMAP model (`sparse/0`, or `colmap/sparse/0` before it is moved) that have
-no file are passed over. Here files and model are paired by view name, so extensions may differ, and train/ and test/
-may be missing.
+RGBT-Scenes: chen-hangyu/Thermal-Gaussian-main 050c291, scene/dataset_readers.py and README.md. `colmap/sparse/0` is
+where its model lies before it is moved. Files and model are paired by view name, so extensions may differ.
 
-TI-NSD of Thermal3D-GS: thermal images alone, in the plain layout of 3DGS. Its papers test every 8th image:
-`data.split=every_8th`.
+TI-NSD of Thermal3D-GS: thermal images alone. Its papers test every 8th image: `data.split=every_8th`.
 """
 
 from __future__ import annotations
@@ -15,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import SUFFIXES
+from tdgbench.scenes.formats import SUFFIXES
 from tdgbench.scenes.inputs import is_folder
 from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, find_images, find_scene, model_folders
 from tdgbench.scenes.registry import DATASETS

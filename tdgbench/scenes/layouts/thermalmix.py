@@ -1,21 +1,17 @@
 """ThermalMix, as shipped: gray images of temperatures, warped into the RGB camera; or arrays that were made of them.
 
-Facts of the download: mert-o/ThermalNeRFs e1d4e26, img_temp_mapper.py, which the authors' readme runs after it:
-`warped_thermal/<view>.jpg` has the names of `thermal/<view>.jpg`, the images before the warp, and spans the scene's
-PUBLISHED range; `warped_thermal/<view>.npy` in °C is what that script writes.
+Facts of the download: mert-o/ThermalNeRFs e1d4e26, img_temp_mapper.py, which makes `warped_thermal/<view>.npy` in °C
+of `warped_thermal/<view>.jpg`, which spans the scene's PUBLISHED range, and of `thermal/<view>.jpg` before the warp.
 
 Facts of the loader: mert-o/thermalnerfs 140ea83, nerf/colmap_provider.py: the model is in the first of three places;
-RGB in `images_<downscale>`, `rgb` or `images`, with `.jpg` on disk where the model says `.JPG`; it reads the arrays.
-Views without files are left out. That loader takes cameras SIMPLE_RADIAL, SIMPLE_PINHOLE, PINHOLE and OPENCV and
-ignores their distortion; here RGB, temperatures and masks are undistorted alike. Its `downscale` is 1 by default, so
-`images_1` comes first and a smaller copy last.
+RGB in `images_<downscale>` (1 by default, so a smaller copy comes last), `rgb` or `images`. It ignores the lens's
+distortion; here RGB, temperatures and masks are undistorted alike.
 
-Facts of the filler: pixels of `warped_thermal/<view>.jpg` that are darker than every pixel of `thermal/<view>.jpg` are
-the warp's filler. The authors raise them to that minimum and save the array; here they are masked. Both images are
-JPEGs. A measured pixel may be a few levels below the minimum by their noise, and a filler spoils the blocks that it is
-in. So a region below the minimum is filler if as many of its pixels as a block has are nearer to black than to the
-minimum; it grows to whole blocks. Noise is raised to the minimum, as the authors do. A minimum that is itself nearly
-black tells nothing: then, and without an image before the warp, fillers are found as in arrays (`fillers.py`).
+Fillers: the authors raise pixels that are darker than all pixels before the warp to that minimum; here they are masked.
+By the noise of JPEG, measured pixels may be a few levels below the minimum, and fillers spoil their blocks. So a region
+below the minimum is filler, and grows to whole blocks, if as many of its pixels as a block has are nearer to black than
+to the minimum; others are raised. A minimum that is nearly black tells nothing: then, and without an image before the
+warp, fillers are found as in arrays.
 """
 
 from __future__ import annotations
@@ -23,7 +19,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -87,7 +83,7 @@ def _find(folder: Path) -> SceneFiles:
     rgb = Images({}, {}, []) if photos is None else find_images(photos)
     found = find_scene(folder, MODELS, LAYOUT.title, ("rgb", UNWARPED), thermal, rgb)
     before = by_view(folder, find_images(folder / UNWARPED, PICTURES), found.posed).paths
-    shown = {view for view, path in found.thermal.items() if is_picture(path)}
+    shown = {view for view, path in found.thermal.items() if _is_picture(path)}
     unwarped = {view: path for view, path in before.items() if view in shown}
     read = partial(_read_thermal, unwarped=unwarped)
     return replace(found, files=[*found.files, *unwarped.values()], read_thermal=read)
@@ -102,7 +98,7 @@ def _rgb_folder(folder: Path) -> Path | None:
 
 def _read_thermal(request: ThermalRequest, unwarped: Mapping[str, Path]) -> ThermalImages:
     """Read temperatures from arrays, and from gray images of a known range."""
-    pictures = [name for name, source in request.sources.items() if is_picture(source.path)]
+    pictures = [name for name, source in request.sources.items() if _is_picture(source.path)]
     if not pictures:
         return measured_images(request, request.reader)
     notes, how = [], "gray, of known °C"
@@ -125,56 +121,42 @@ def _read_thermal(request: ThermalRequest, unwarped: Mapping[str, Path]) -> Ther
             f"{first_few(alone)}"
         )
     assert request.radiometry is not None
-    images = measured_images(request, WarpedPictures(request.radiometry, unwarped, mask))
+    read = partial(_read_warped, radiometry=request.radiometry, unwarped=unwarped, mask=mask)
+    images = measured_images(request, read)
     return replace(images, notes=[*notes, *images.notes], assumed={**images.assumed, "values": how})
 
 
-@dataclass(frozen=True)
-class WarpedPictures:
-    """Warped gray images and what their values mean. Called with a path, it reads the temperatures.
-
-    unwarped: images before the warp, by view name. mask: whether fillers are masked; else all are raised. Views may
-    have .npy files instead.
-    """
-
-    radiometry: Radiometry
-    unwarped: Mapping[str, Path]
-    mask: bool
-
-    def __call__(self, path: Path) -> Temperatures:
-        if not is_picture(path):
-            return read_temperatures(path, self.radiometry.scale)
-        image, before = self._gray(path), self.unwarped.get(path.stem)
-        block = BLOCK if path.suffix.lower() in JPEG else 1
-        filler = None
-        if before is not None:
-            lowest = float(self._gray(before).min())
-            if self.mask and lowest >= NOISE:
-                filler = filler_below(image, lowest, block)
-            image = np.maximum(image, np.float32(lowest))
-        span = self.radiometry.range
-        degC = (span.min * (1 - image.astype(np.float64)) + span.max * image).astype(np.float32)
-        if filler is not None:
-            degC[filler] = np.nan
-        return Temperatures(degC, filler is not None, block, ends=True)
-
-    def _gray(self, path: Path) -> np.ndarray:
-        """Return the image (H, W) float32 in [0, 1]. Raises SceneError for one in colours."""
-        image = unit_image(decode(path, as_picture=True), path, self.radiometry)
-        if np.ptp(image, axis=2).max() > MOST_COLOR:
-            raise SceneError(
-                f"{path} is in colours, but temperatures are read from gray images; replace it by the gray image, or "
-                f"put {path.stem}.npy in °C beside it"
-            )
-        return image[..., 0] if image.shape[2] == 1 else image @ LUMA
+def _read_warped(path: Path, radiometry: Radiometry, unwarped: Mapping[str, Path], mask: bool) -> Temperatures:
+    """Read temperatures from an array, or from a warped gray image, whose fillers are masked or else raised."""
+    if not _is_picture(path):
+        return read_temperatures(path, radiometry.scale)
+    image, before = _gray(path, radiometry), unwarped.get(path.stem)
+    block = BLOCK if path.suffix.lower() in JPEG else 1
+    filler = None
+    if before is not None:
+        lowest = float(_gray(before, radiometry).min())
+        if mask and lowest >= NOISE:
+            filler = filler_below(image, lowest, block)
+        image = np.maximum(image, np.float32(lowest))
+    span = radiometry.range
+    degC = (span.min * (1 - image.astype(np.float64)) + span.max * image).astype(np.float32)
+    if filler is not None:
+        degC[filler] = np.nan
+    return Temperatures(degC, filler is not None, block, ends=True)
 
 
-def is_picture(path: Path) -> bool:
-    """Return whether a file is an image of temperatures, not an array.
+def _gray(path: Path, radiometry: Radiometry) -> np.ndarray:
+    """Return the image (H, W) float32 in [0, 1]. Raises SceneError for one in colours."""
+    image = unit_image(decode(path, as_picture=True), path, radiometry)
+    if np.ptp(image, axis=2).max() > MOST_COLOR:
+        raise SceneError(
+            f"{path} is in colours, but temperatures are read from gray images; replace it by the gray image, or "
+            f"put {path.stem}.npy in °C beside it"
+        )
+    return image[..., 0] if image.shape[2] == 1 else image @ LUMA
 
-    >>> is_picture(Path("1.JPG")), is_picture(Path("1.npy"))
-    (True, False)
-    """
+
+def _is_picture(path: Path) -> bool:
     return path.suffix.lower() in PICTURES
 
 

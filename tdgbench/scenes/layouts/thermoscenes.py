@@ -1,13 +1,11 @@
-"""ThermoScenes of ThermoNeRF: nerfstudio's transforms.json with a thermal image per frame.
+"""ThermoScenes of ThermoNeRF, nerfstudio's transforms.json with a thermal image per frame; and SEAR's compilation.
 
 Facts: Schindler-EPFL-Lab/thermo-nerf 08d9be9, thermo_nerf/thermal_nerf/thermal_dataparser.py and
-thermo_scenes/docs/Collect_new_dataset.md: `transforms.json` (or `transforms_thermal.json`) with `file_path` and
-`thermal_file_path` per frame; without the latter, the file of the same name in `thermal/`. 8-bit gray images span the
-`temperature_bounds.json`. The shipped split is that of `<split>_filenames`, or of file names with `train` or `eval`.
-RGB and thermal images share a camera, so both are undistorted alike.
+thermo_scenes/docs/Collect_new_dataset.md. Without `thermal_file_path`, a frame's thermal image is the file of the same
+name in `thermal/`. The shipped split is that of `<split>_filenames`, or of file names with `train` or `eval`.
 
-SEAR's compilation of published captures (Schindler-EPFL-Lab/SEAR 7a2e71b, docs/Dataset.md) has pairs of images as
-frames, with cameras by VGGT, and gray images made of the cameras' radiometric files: a data set of its own.
+SEAR (Schindler-EPFL-Lab/SEAR 7a2e71b, docs/Dataset.md): pairs of images as frames, with cameras by VGGT, and gray
+images made of the cameras' radiometric files.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.images import SUFFIXES
+from tdgbench.scenes.formats import SUFFIXES
 from tdgbench.scenes.inputs import is_there, read_bytes, regular_file
 from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, by_view, find_images, find_masks, model_folders
 from tdgbench.scenes.layouts.transforms import POINTS, Transforms, read_points, read_transforms, there, where_they_are
@@ -44,45 +42,45 @@ def _find(folder: Path) -> SceneFiles:
     if path is None:
         raise SceneError(f"{folder} has no {JSON_FILES[0]}; the layout is {LAYOUT.looks}")
     content = read_transforms(path)
-    posed = {name: frame.posed for name, frame in content.frames.items()}
     thermal, rgb, stated, notes = _files(folder, path, content)
     bounds = read_radiometry(folder / BOUNDS_FILE, BOUNDS_KEYS) or read_radiometry(folder / FILE)
     files = [path, *(folder / name for name in (BOUNDS_FILE, FILE) if is_there(folder / name))]
     if bounds is None:
         notes.append(f"there is no {BOUNDS_FILE}, so no temperature of image values is known")
-    masks, about = find_masks(folder, posed, (thermal, rgb), stated)
+    masks, about = find_masks(folder, content.posed, (thermal, rgb), stated)
     assumed = {**content.assumed, **about}
     ply, points = folder / (content.points or POINTS), None
     if is_there(ply):
         cloud, colors = read_points(ply)
-        points, moved = where_they_are(cloud, content.applied_transform, [image.camera for image in posed.values()])
+        cameras = [image.camera for image in content.posed.values()]
+        points, moved = where_they_are(cloud, content.applied_transform, cameras)
         notes += [f"{ply.name} was in the world before applied_transform, which is applied to it"] if moved else []
         files.append(ply)
         assumed |= {"colours": f"of {ply.name}: {colors}"} if colors else {}
     elif content.points is not None:
         notes.append(f"{path.name} names the points {content.points}, which are not there")
-    return SceneFiles(posed, points, thermal, rgb, _shipped(content), bounds, files=files, notes=notes, masks=masks,
-                      assumed=assumed)  # fmt: skip
+    shipped = _shipped(content)
+    return SceneFiles(content.posed, points, thermal, rgb, shipped, bounds, None, files, notes, masks, assumed)
 
 
 def _files(
     folder: Path, path: Path, content: Transforms
 ) -> tuple[dict[str, Path], dict[str, Path], dict[str, Path], list[str]]:
     """Return files by view name, of thermal images, RGB images and stated masks; and notes."""
-    unnamed = any(frame.thermal_file is None for frame in content.frames.values())
+    unnamed = any(frame.thermal_file_path is None for frame in content.frames.values())
     images = find_images(folder / "thermal") if unnamed else Images({}, {}, [])
-    by_name = by_view(folder, images, {name: frame.posed for name, frame in content.frames.items()}).paths
+    by_name = by_view(folder, images, content.posed).paths
     thermal, rgb, masks = {}, {}, {}
     for name, frame in content.frames.items():
         where = f"{path}: frame {name}"
-        own = frame.thermal_file
+        own = frame.thermal_file_path
         place = by_name.get(name) if own is None else there(folder / own)
         if place is not None:
             thermal[name] = _image(place, where)
-        if frame.file != own and (photo := there(folder / frame.file)) is not None:
+        if frame.file_path != own and (photo := there(folder / frame.file_path)) is not None:
             rgb[name] = _image(photo, where)
-        if frame.mask is not None:
-            masks[name] = _image(folder / frame.mask, where)
+        if frame.mask_path is not None:
+            masks[name] = _image(folder / frame.mask_path, where)
     if not thermal:
         raise SceneError(
             f"{path} names no thermal image that is there (read as {LAYOUT.title}); put <view>.png of each frame into "
@@ -107,7 +105,7 @@ def _shipped(content: Transforms) -> dict[str, str]:
         test = content.lists.get("test") or content.lists.get("val", [])
         parts: Mapping[str, Any] = {"train": content.lists.get("train", []), "test": test}
         return {name: part for part, names in parts.items() for name in names}
-    bases = {name: frame.posed.key.rpartition("/")[2] for name, frame in content.frames.items()}
+    bases = {name: image.key.rpartition("/")[2] for name, image in content.posed.items()}
     said = {name: base for name, base in bases.items() if "train" in base or "eval" in base}
     return {name: "train" if "train" in base else "test" for name, base in said.items()}
 

@@ -13,6 +13,7 @@ import io
 import math
 import re
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Literal, TypeVar
 
@@ -28,6 +29,7 @@ from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats import SUFFIXES, header
 from tdgbench.scenes.inputs import decoding, is_there, read_bytes, read_json
 from tdgbench.scenes.names import key, pair, view_names
+from tdgbench.scenes.registry import plain_name
 from tdgbench.scenes.scene import PointCloud
 from tdgbench.text import shortened
 
@@ -59,27 +61,6 @@ REMEDY = "copy or download it again, or remove it and use init=random"
 CLEARLY_MORE = 0.02  # of the points, that are in some image in one world and in none in the other
 CHANNELS = ("red", "green", "blue")
 ROUNDING = 1e-3  # by which floats of colours to 1 may be above it
-
-
-@dataclass(frozen=True)
-class TransformsFrame:
-    """A frame of transforms.json. Paths are relative to its folder."""
-
-    posed: RegisteredImage
-    file: Path
-    thermal_file: Path | None
-    mask: Path | None
-
-
-@dataclass(frozen=True)
-class Transforms:
-    """Content of a transforms.json, frames by view name."""
-
-    frames: dict[str, TransformsFrame]
-    lists: dict[str, list[str]]  # view names by split, of SPLITS
-    points: Path | None  # of a .ply file, relative to its folder
-    applied_transform: np.ndarray | None  # (4, 4), from the original world to the frames'
-    assumed: dict[str, str]  # as of Scene
 
 
 def _inside(value: object) -> Path:
@@ -115,7 +96,9 @@ class _File(BaseModel):
     applied_scale: FiniteFloat = 1.0
 
 
-class _Frame(BaseModel):
+class Frame(BaseModel):
+    """A frame of a transforms.json."""
+
     file_path: RelativePath
     thermal_file_path: RelativePath | None = None
     mask_path: RelativePath | None = None
@@ -141,12 +124,20 @@ class _Intrinsics(BaseModel):
     is_fisheye: bool = False
 
 
-def _plain(name: str) -> str:
-    return re.sub(r"[\W_]", "", name).lower()
+KNOWN = {plain_name(name): name for kind in (_File, Frame, _Intrinsics) for name in kind.model_fields}
+KNOWN |= {plain_name(name): name for name in REFUSED}
 
 
-KNOWN = {_plain(name): name for kind in (_File, _Frame, _Intrinsics) for name in kind.model_fields}
-KNOWN |= {_plain(name): name for name in REFUSED}
+@dataclass(frozen=True)
+class Transforms:
+    """Content of a transforms.json; poses and frames by view name."""
+
+    posed: dict[str, RegisteredImage]
+    frames: dict[str, Frame]
+    lists: dict[str, list[str]]  # view names by split, of SPLITS
+    points: Path | None  # of a .ply file, relative to its folder
+    applied_transform: np.ndarray | None  # (4, 4), from the original world to the frames'
+    assumed: dict[str, str]  # as of Scene
 
 
 def read_transforms(path: Path) -> Transforms:
@@ -163,10 +154,10 @@ def read_transforms(path: Path) -> Transforms:
             f"{path} has the applied_scale {file.applied_scale:g}, which programs apply to points in different ways: "
             f"remove the key, and the points unless they are in the cameras' world; then use init=random"
         )
-    parsed = [_parsed(_Frame, values, f"{path}: frame {number}") for number, values in enumerate(file.frames)]
+    parsed = [_parsed(Frame, values, f"{path}: frame {number}") for number, values in enumerate(file.frames)]
     names = view_names([key(str(frame.file_path)) for frame in parsed], str(path))
     pinholes: dict[CameraEntry, tuple] = {}
-    frames: dict[str, TransformsFrame] = {}
+    posed: dict[str, RegisteredImage] = {}
     assumed: set[str] = set()
     for frame, values, (one, name) in zip(parsed, file.frames, names.items(), strict=True):
         where = f"{path}: frame {name}"
@@ -179,14 +170,14 @@ def read_transforms(path: Path) -> Transforms:
         check_pose(to_world, where)
         pose = pose_at(to_world[:3, 3], (to_world[:3, :3] @ OPENGL_TO_OPENCV).T)
         camera = check_camera(replace(pinhole, world_to_camera=pose), where)
-        posed = RegisteredImage(name, camera, undistortion, one)
-        frames[name] = TransformsFrame(posed, frame.file_path, frame.thermal_file_path, frame.mask_path)
+        posed[name] = RegisteredImage(name, camera, undistortion, one)
     views = {name: one for one, name in names.items()}
     lists = {split: getattr(file, f"{split}_filenames") for split in SPLITS}
     parts = {split: _listed(paths, views, path) for split, paths in lists.items() if paths is not None}
     said = {"intrinsics": f"{', '.join(sorted(assumed))}: {path.name} does not say it"} if assumed else {}
     said |= {"cameras": "SEAR's of each thermal image, world to camera"} if pairs else {}
-    return Transforms(frames, parts, file.ply_file_path, file.applied_transform, said)
+    frames = dict(zip(posed, parsed, strict=True))
+    return Transforms(posed, frames, parts, file.ply_file_path, file.applied_transform, said)
 
 
 def is_of_pairs(frame: dict[str, object]) -> bool:
@@ -237,7 +228,7 @@ def _check_keys(values: dict[str, object], where: str) -> None:
                 f"{where} has the {name} {said}, which changes cameras or pixels and is not read here; undistort the "
                 "images, or remove the key if it means nothing"
             )
-        known = KNOWN.get(_plain(name), name)
+        known = KNOWN.get(plain_name(name), name)
         if known != name and is_set:
             raise SceneError(f"{where} has the key {name!r}; if it is {known}, rename it, else remove it")
 
@@ -281,13 +272,8 @@ def _lens(
         stated |= {"w": size.width, "h": size.height}
         missing.add("w and h are the image's")
     camera = _parsed(_Intrinsics, stated, where)
-    fx, fy = (
-        size / (2 * math.tan(angle / 2)) if focal is None and angle else focal
-        for focal, angle, size in (
-            (camera.fl_x, camera.camera_angle_x, camera.w),
-            (camera.fl_y, camera.camera_angle_y, camera.h),
-        )
-    )
+    given = (camera.fl_x, camera.camera_angle_x, camera.w), (camera.fl_y, camera.camera_angle_y, camera.h)
+    fx, fy = (size / (2 * math.tan(angle / 2)) if focal is None and angle else focal for focal, angle, size in given)
     if fx is None:
         raise SceneError(f"{where} has no fl_x and no camera_angle_x. Correct the file, a transforms.json")
     known = {"fl_y is fl_x": fy, "cx is the centre": camera.cx, "cy is the centre": camera.cy}
@@ -360,7 +346,4 @@ def where_they_are(
 
 def _share_in_images(points: np.ndarray, cameras: list[Camera]) -> float:
     """Return the share of the points (N, 3) that lie in front of a camera and in its image."""
-    seen = np.zeros(len(points), bool)
-    for camera in cameras:
-        seen |= camera.shows(points)
-    return float(seen.mean())
+    return float(reduce(np.logical_or, (camera.shows(points) for camera in cameras)).mean())

@@ -56,9 +56,9 @@ class ThermalErrors:
     def drawn(
         self, size: tuple[int, int], span: tuple[float, float], drifts: np.ndarray, seed: list[int]
     ) -> TrueCamera:
-        """Draw the camera. size: width, height in px. span: °C of the world. drifts: (V,) further offsets.
+        """Draw the camera, each kind of error with random numbers of its own.
 
-        Each kind of error has random numbers of its own, so that one does not change with another.
+        size: width, height in px. span: °C of the world. drifts: (V,) further offsets.
         """
         views = len(drifts)
         walk, gain, pattern = (np.random.default_rng([*seed, number]) for number in (0, 1, 3))
@@ -73,7 +73,7 @@ class ThermalErrors:
 
 @dataclass(frozen=True)
 class TrueCamera:
-    """A thermal camera whose errors are known. Temperatures in °C; V views in the order of their names."""
+    """A thermal camera whose errors are known, °C; V views in the order of their names."""
 
     reference: float  # temperature that gains leave as it is
     offsets: np.ndarray  # (V,)
@@ -83,7 +83,7 @@ class TrueCamera:
     limits: np.ndarray | None = None  # (V, 2), shown as 0 and 255; None without automatic gain control
 
     def shown(self, degC: np.ndarray, view: int, noise: np.ndarray) -> np.ndarray:
-        """Return what the camera measures of temperatures (H, W), in °C. noise: (H, W), temporal."""
+        """Return what the camera measures of temperatures (H, W) with temporal noise (H, W), in °C."""
         response = degC + (self.gains[view] - 1) * (degC - self.reference) + (self.vignette + self.pattern)
         return response + noise + self.offsets[view]
 
@@ -96,7 +96,7 @@ class CameraTruth:
     camera: TrueCamera
 
     def index(self, names: list[str]) -> np.ndarray:
-        """Return positions (N,) of views among the camera's."""
+        """Return positions (N,) of views."""
         return np.array([self.names.index(name) for name in names])
 
 

@@ -16,25 +16,16 @@ from numpy.random import Generator
 from PIL import Image
 from pydantic import Field, NonNegativeInt
 
-from tdgbench.files import opened
 from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.datasets import Outlines
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import check_scene_name, decoding, is_there, regular_file
+from tdgbench.scenes.inputs import check_scene_name
 from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
 from tdgbench.scenes.read import Outline, outline_scene
 from tdgbench.scenes.scene import PointCloud
-from tdgbench.scenes.synthetic.capture import (
-    CameraTruth,
-    CaptureErrors,
-    Encoding,
-    TrueCamera,
-    TrueRig,
-    levels,
-    limits,
-)
+from tdgbench.scenes.synthetic.capture import CameraTruth, CaptureErrors, Encoding, TrueRig, levels, limits
 from tdgbench.scenes.synthetic.render import World, local_rays, look_at, render_world
 from tdgbench.scenes.synthetic.worlds import WORLDS
 from tdgbench.scenes.temperature import FILE
@@ -45,7 +36,6 @@ POINT_NOISE = 0.004  # standard deviation, × depth
 OUTLIERS = 0.02  # share of the sparse points
 FOLDER = "camera"  # inside the scene's; no reader of scenes opens its files
 CAMERA, RIG = "camera.npz", "rig.json"
-REMEDY = "delete the scene's folder"
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +57,6 @@ class SyntheticDataset(Outlines):
 
     def names(self) -> list[str]:
         return list(WORLDS)
-
-    def missing(self, names: list[str]) -> list[str]:
-        return [name for name in names if name not in WORLDS]
 
     def explain_missing(self, names: list[str]) -> str:
         return f"no synthetic scene {', '.join(names)}; choose from {', '.join(WORLDS)}"
@@ -120,8 +107,7 @@ def _write_files(world: World, folder: Path, asked: SyntheticDataset) -> None:
     """Write a scene's files.
 
     The true cameras take the images; the COLMAP model has the given cameras and the true points. True depth and true
-    temperatures belong to the pixels of the thermal images, with a rig to the thermal camera's. Errors have random
-    numbers of their own. The true camera and the rig are written beside the scene.
+    temperatures belong to the pixels of the thermal images. Errors have random numbers of their own.
     """
     for sub in ("rgb", "thermal", "depth", "temperature"):
         (folder / sub).mkdir(parents=True)
@@ -149,7 +135,7 @@ def _write_files(world: World, folder: Path, asked: SyntheticDataset) -> None:
     files = [f"{name}.png" for name in names]  # of the model; thermal files may have another extension
     write_model(folder / "sparse" / "0", list(zip(files, errors.given(cameras, asked.seed), strict=True)), cloud)
     if errors.has_truth:
-        write_truth(folder, CameraTruth(names, replace(camera, limits=ends)), errors.rig)
+        _write_truth(folder / FOLDER, CameraTruth(names, replace(camera, limits=ends)), errors.rig)
 
 
 def _write_thermal(folder: Path, views: dict[str, np.ndarray], world: World, encoding: Encoding) -> np.ndarray | None:
@@ -196,26 +182,11 @@ def _sparse_points(shown: list[tuple[Camera, np.ndarray, np.ndarray]], count: in
     return PointCloud(cloud, color)
 
 
-def write_truth(scene: Path, truth: CameraTruth, rig: TrueRig) -> None:
-    """Write the camera's fields as arrays, maps (H, W) in float32, and a rig, if there is one. scene: its folder."""
-    (scene / FOLDER).mkdir()
+def _write_truth(folder: Path, truth: CameraTruth, rig: TrueRig) -> None:
+    """Write the camera's fields as arrays, maps (H, W) in float32, and a rig, if there is one."""
+    folder.mkdir()
     known = {name: value for name, value in vars(truth.camera).items() if value is not None}
     known |= {name: known[name].astype(np.float32) for name in ("vignette", "pattern")}
-    np.savez(scene / FOLDER / CAMERA, names=np.array(truth.names), **known)
+    np.savez(folder / CAMERA, names=np.array(truth.names), **known)
     if rig != TrueRig():
-        (scene / FOLDER / RIG).write_text(json.dumps(asdict(rig), indent=1) + "\n", encoding="utf-8")
-
-
-def read_truth(scene: Path) -> CameraTruth:
-    """Read the true camera from a synthetic scene's folder. Raises SceneError if it has none, or a damaged file."""
-    path = scene / FOLDER / CAMERA
-    if not is_there(path):
-        raise SceneError(f"{scene} has no {FOLDER}/{CAMERA}; synthetic scenes do, if their thermal camera is not ideal")
-    with (
-        decoding(path, "a true camera", REMEDY),
-        opened(regular_file(path)) as content,
-        np.load(content, allow_pickle=False) as file,
-    ):
-        stored = dict(file)
-        names = stored.pop("names").tolist()
-        return CameraTruth(names, TrueCamera(reference=float(stored.pop("reference")), **stored))
+        (folder / RIG).write_text(json.dumps(asdict(rig), indent=1) + "\n", encoding="utf-8")

@@ -1,14 +1,8 @@
-"""The synthetic scenes: one per group of the paper's table, three surveys of a surface, and a building.
+"""The synthetic scenes, which docs/built-in-scenes.md describes.
 
-`orbit`: day light, pseudo-colour, cameras around a table. `night`: nearly black RGB, warm machines in front of a wall
-with a heat leak. `turntable`: a full circle, gray thermal. `facade`: forward-facing, gray thermal. `half_seen`: a
-building photographed from one side; test views are taken from all around it.
-
-The surveys go line after line: `field`: nadir flight over flat ground. `hills`: the same flight over undulating ground.
-`wall`: a camera along a wall. Along a flat surface, image = focal (point − camera) / distance. So a vignette linear in
-the image, offsets of the views linear in the camera's position and a linear gradient of the surface's temperature
-cancel: images do not tell them apart. Relief breaks this by its share of the distance; so would turns, which lines have
-not.
+Along a flat surface, image = focal (point − camera) / distance. So a vignette linear in the image, offsets of the views
+linear in the camera's position and a linear gradient of the surface's temperature cancel. The relief of `hills` breaks
+this by its share of the distance; so would turns, which the lines of `field`, `hills` and `wall` have not.
 """
 
 from __future__ import annotations

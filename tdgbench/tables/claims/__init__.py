@@ -69,15 +69,15 @@ def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
         finding = check.run(claim, evidence)
     except MissingError as error:
         return Finding(UNDECIDED, str(error))
-    parts = [finding.grounds]
+    verdict, parts = finding.verdict, [finding.grounds]
     if check.of_tables:
-        parts.append(evidence.note)
-        if evidence.is_of_one_seed:
-            finding = Finding(UNDECIDED, finding.grounds)
-            parts.append("one seed decides nothing")
+        of_one_seed = evidence.is_of_one_seed
+        verdict = UNDECIDED if of_one_seed else verdict
+        open_ = "one seed decides nothing" if of_one_seed else "95 % intervals over seeds leave it open"
+        parts += [evidence.note, open_ if verdict == UNDECIDED else ""]
     if claim.gain:
         parts.append(gain_against_spread(evidence.main, claim.metrics or [claim.metric]))
-    return Finding(finding.verdict, "; ".join(part for part in parts if part))
+    return Finding(verdict, "; ".join(part for part in parts if part))
 
 
 def judge_claims(ours: ClaimEvidence | None, claims: Sequence[Claim] | None = None) -> list[JudgedClaim]:

@@ -24,15 +24,7 @@ from tdgbench.tables.claims.cell_pairs import (
     judge_gain,
     make_pairs,
 )
-from tdgbench.tables.claims.evidence import (
-    UNDECIDED,
-    Claim,
-    ClaimEvidence,
-    Finding,
-    MissingError,
-    as_published,
-    published_lengths,
-)
+from tdgbench.tables.claims.evidence import UNDECIDED, Claim, ClaimEvidence, Finding, MissingError
 from tdgbench.tables.claims.quantities import QUANTITIES, Quantity
 from tdgbench.tables.results import Cell
 
@@ -61,15 +53,7 @@ def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
     if evidence.printed:
         return table_checks.average_gains(claim, evidence)
     _need_cells(claim, evidence)
-    new, old = (
-        {
-            (cell.settings_key, cell.record.seed): cell
-            for cell in as_published(evidence.cells)
-            if cell.record.method == m
-        }
-        for m in methods.paper_pair()
-    )
-    pairs = [CellPair(cell, old[place]) for place, cell in new.items()]
+    pairs = [CellPair(*pair) for pair in evidence.published_pairs]
     findings = [part for metric in claim.metrics for part in _gain(claim, QUANTITIES[metric], 0.0, pairs)]
     if not findings:
         raise MissingError(f"no pair of {' and '.join(methods.paper_pair())}")
@@ -106,7 +90,7 @@ def attributed(claim: Claim, evidence: ClaimEvidence) -> Finding:
     smoothness of eq. 6), depth (TDg).
     """
     _need_cells(claim, evidence)
-    links = _links(evidence.cells)
+    links = _links(evidence)
     if not links:
         raise MissingError("no cells of tdg, 3dgs_smooth (TDg without depth) and msmg on one machine")
     scenes = [scene for scene, _ in links]
@@ -136,7 +120,7 @@ def _compare(claim: Claim, evidence: ClaimEvidence, sides: Sequence[tuple[Side, 
     _need_cells(claim, evidence)
     findings = []
     for mine, other in sides:
-        pairs = make_pairs(evidence.cells, mine, other)
+        pairs = make_pairs(evidence, mine, other)
         for name, margin in claim.margins.items():
             for budget in sorted({pair.mine.planned_iterations for pair in pairs}):
                 findings += _gain(
@@ -192,13 +176,13 @@ def _difference_text(gain: Interval, quantity: Quantity) -> str:
     return mean + quantity.unit + (f" [{low}, {high}]" if np.isfinite(gain.low) else "")
 
 
-def _links(cells: Sequence[Cell]) -> list[tuple[tuple[str, str], tuple[float, float, float]]]:
+def _links(evidence: ClaimEvidence) -> list[tuple[tuple[str, str], tuple[float, float, float]]]:
     """Return scene and log time ratios of each link of the chain from MSMG to TDg, for each setup, seed and machine."""
     times: dict[tuple[str, int, tuple[str, ...]], dict[str, dict[int, Cell]]] = {}
-    longest = {setup: length for (method, setup), length in published_lengths(cells).items() if method == "msmg"}
-    for cell in cells:
+    longest = {setup: length for (method, setup), length in evidence.published_lengths.items() if method == "msmg"}
+    for setup, cell in evidence.placed:
         if cell.record.init == COLMAP and cell.record.seconds.get("train"):
-            of_method = times.setdefault((cell.settings_key, cell.record.seed, cell.machine), {})
+            of_method = times.setdefault((setup, cell.record.seed, cell.machine), {})
             of_method.setdefault(cell.record.method, {}).setdefault(cell.planned_iterations, cell)
     ratios = []
     for (setup, _, _), by_method in times.items():

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, Finding
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEvidence, Finding
 from tdgbench.tables.results import Cell
 from tdgbench.tables.statistics import mean_interval
 
@@ -37,17 +37,13 @@ class Interval(NamedTuple):
     scenes: int
 
 
-def make_pairs(cells: Sequence[Cell], mine: Side, other: Side) -> list[CellPair]:
-    """Return cells with equal scene, data, split, seed, setup and iterations.
-
-    A cell that two experiments hold counts once, as the first has it.
-    """
+def make_pairs(evidence: ClaimEvidence, mine: Side, other: Side) -> list[CellPair]:
+    """Return cells with equal setup, seed and iterations. A cell that two experiments hold counts once."""
     sides: list[dict[tuple[object, ...], Cell]] = [{}, {}]
-    for cell in cells:
-        record = cell.record
-        key = (cell.settings_key, record.seed, cell.planned_iterations, record.iterations)
+    for setup, cell in evidence.placed:
+        key = (setup, cell.record.seed, cell.planned_iterations, cell.record.iterations)
         for by_key, side in zip(sides, (mine, other), strict=True):
-            if (record.method, record.init) == side:
+            if (cell.record.method, cell.record.init) == side:
                 by_key.setdefault(key, cell)
     return [CellPair(cell, sides[1][key]) for key, cell in sides[0].items() if key in sides[1]]
 
@@ -70,17 +66,12 @@ def gain_interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> 
 def judge_gain(gain: Interval, margin: float) -> str:
     """Return the verdict on a claimed gain. margin: the least gain that the claim's words allow.
 
-    - `fails`: the whole interval lies below the margin; the gain is negative, or too small for the words.
-    - `holds`: the whole interval lies on the claimed side of 0, and the mean is not below the margin. With a negative
-      margin (the claim allows so much loss) the whole interval lies above the margin.
-    - `undecided`: anything else, and always with one pair.
+    `holds` or `fails` where the whole interval lies above or below the margin, else `undecided`: so with one pair.
 
     >>> judge_gain(Interval(0.5, low=0.4, high=0.6, pairs=4, scenes=4), margin=0.2)
     'holds'
     """
-    if gain.high <= margin:
-        return FAILS
-    return HOLDS if gain.low > min(0.0, margin) and gain.mean >= margin else UNDECIDED
+    return FAILS if gain.high <= margin else HOLDS if gain.low > margin else UNDECIDED
 
 
 def all_of(findings: Sequence[Finding]) -> Finding:

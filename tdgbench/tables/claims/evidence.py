@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,13 +16,13 @@ from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import Record, no_records
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
+from tdgbench.tables.likeness import setups
 from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages
-from tdgbench.tables.measures import AVERAGE, OVERALL
+from tdgbench.tables.measures import AVERAGE, KEYS, OVERALL
 from tdgbench.tables.results import Cell, read_results
+from tdgbench.tables.statistics import seed_values
 
 HOLDS, FAILS, UNDECIDED = "holds", "fails", "undecided"
-
-
 THE_PAPER = "TDg"  # of claims that name none
 
 
@@ -85,9 +86,9 @@ class Finding(NamedTuple):
     grounds: str
 
     @classmethod
-    def decided(cls, holds: bool, grounds: str) -> Finding:
-        """Return the finding that a claim holds, or that it fails."""
-        return cls(HOLDS if holds else FAILS, grounds)
+    def decided(cls, surely: bool, possibly: bool, grounds: str) -> Finding:
+        """Return the finding on a claim that holds surely, or only possibly, by what is known of its numbers."""
+        return cls(HOLDS if surely else UNDECIDED if possibly else FAILS, grounds)
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ class ClaimEvidence:
 
     printed: whether the values were rounded for print, so that each is known to half a unit only. cells: the cells
     behind our tables. note: the cells of the main table, in words. equal_sized: cells that have the number of Gaussians
-    that was asked for; no table and no other claim reads them.
+    that was asked for; no table and no other claim reads them. by_seed: `seed_values` of our main table.
     """
 
     main: pd.DataFrame
@@ -105,6 +106,7 @@ class ClaimEvidence:
     cells: tuple[Cell, ...] = ()
     note: str = ""
     equal_sized: tuple[Cell, ...] = ()
+    by_seed: pd.DataFrame | None = None
 
     @property
     def overall(self) -> str:
@@ -116,13 +118,52 @@ class ClaimEvidence:
     @property
     def is_of_one_seed(self) -> bool:
         """True if a number of our main table is of one seed."""
-        seeds = Counter((cell.record.method, cell.dataset_and_scene) for cell in as_published(self.cells))
+        seeds = Counter((c.record.method, c.dataset_and_scene) for c in self.published_cells)
         return min(seeds.values(), default=2) < 2
 
     @property
     def is_of_paper(self) -> bool:
         """True if the main table has the paper's scenes and no others."""
         return set(self.main["dataset"]) - {""} <= set(DATASETS.values())
+
+    @cached_property
+    def placed(self) -> list[tuple[str, Cell]]:
+        """The cells, each with what it shares with those that it is compared with (`likeness.setups`)."""
+        return list(zip(setups([cell.record for cell in self.cells]), self.cells, strict=True))
+
+    @cached_property
+    def published_lengths(self) -> dict[tuple[str, str], int]:
+        """By method and setup, the fewest iterations of the paper's method and the most of its baseline.
+
+        The paper has 10 000 and 30 000.
+        """
+        lengths: dict[tuple[str, str], int] = {}
+        pick = dict(zip(methods.paper_pair(), (min, max), strict=True))
+        for setup, cell in self.placed:
+            method, length = cell.record.method, cell.planned_iterations
+            if method in pick and cell.record.init == "colmap":
+                lengths[method, setup] = pick[method](lengths.get((method, setup), length), length)
+        return lengths
+
+    @cached_property
+    def published_pairs(self) -> list[tuple[Cell, Cell]]:
+        """The cells of the main table: the paper's method and its baseline from COLMAP points, at `published_lengths`.
+
+        Only setups and seeds that both methods have count.
+        """
+        new: dict[tuple[str, int], Cell] = {}
+        old: dict[tuple[str, int], Cell] = {}
+        for setup, cell in self.placed:
+            method = cell.record.method
+            if cell.record.init == "colmap" and self.published_lengths.get((method, setup)) == cell.planned_iterations:
+                chosen = new if method == methods.paper_pair().method else old
+                chosen.setdefault((setup, cell.record.seed), cell)
+        return [(cell, old[place]) for place, cell in new.items() if place in old]
+
+    @property
+    def published_cells(self) -> list[Cell]:
+        """The cells of `published_pairs`, method by method."""
+        return [pair[side] for side in (0, 1) for pair in self.published_pairs]
 
 
 def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
@@ -141,39 +182,12 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     sized = [cell for cell in cells if cell.record.setting("budget.gaussians") is not None]
     equal = [c for c in sized if c.record.gaussians.get("thermal") == c.record.setting("budget.gaussians")]
     cells = [cell for cell in cells if cell not in sized]
-    chosen = as_published(cells)
+    evidence = ClaimEvidence(pd.DataFrame(columns=KEYS), None, False, tuple(cells), equal_sized=tuple(equal))
+    chosen = evidence.published_cells
     plan = Plan(methods=list(methods.paper_pair()) if chosen else [])
-    rows = scene_rows(cell_rows([replace(cell.record, variant="") for cell in chosen], plan))
-    return ClaimEvidence(with_averages(rows), None, False, tuple(cells), _lengths(chosen), tuple(equal))
-
-
-def as_published(cells: Sequence[Cell]) -> list[Cell]:
-    """Return the cells of the main table: the paper's methods from COLMAP points, at `published_lengths`.
-
-    Only setups and seeds that both methods have count.
-    """
-    pair, lengths = methods.paper_pair(), published_lengths(cells)
-    chosen: dict[str, dict[tuple[str, int], Cell]] = {method: {} for method in pair}
-    for cell in cells:
-        method = cell.record.method
-        if cell.record.init == "colmap" and lengths.get((method, cell.settings_key)) == cell.planned_iterations:
-            chosen[method].setdefault((cell.settings_key, cell.record.seed), cell)
-    shared = chosen[pair.method].keys() & chosen[pair.baseline].keys()
-    return [cell for by_place in chosen.values() for place, cell in by_place.items() if place in shared]
-
-
-def published_lengths(cells: Sequence[Cell]) -> dict[tuple[str, str], int]:
-    """Return, by method and setup, the fewest iterations of the paper's method and the most of its baseline.
-
-    The paper has 10 000 and 30 000.
-    """
-    budgets: dict[tuple[str, str], int] = {}
-    for method, pick in zip(methods.paper_pair(), (min, max), strict=True):
-        for cell in cells:
-            if cell.record.method == method and cell.record.init == "colmap":
-                place = (method, cell.settings_key)
-                budgets[place] = pick(budgets.get(place, cell.planned_iterations), cell.planned_iterations)
-    return budgets
+    rows = cell_rows([replace(cell.record, variant="") for cell in chosen], plan)
+    main, by_seed = with_averages(scene_rows(rows)), seed_values(rows) if chosen else None
+    return replace(evidence, main=main, note=_lengths(chosen), by_seed=by_seed)
 
 
 def _is_plain(record: Record) -> bool:
@@ -188,7 +202,7 @@ def _lengths(cells: Sequence[Cell]) -> str:
         return ""
     parts = []
     for method in methods.paper_pair():
-        budgets = sorted({cell.planned_iterations for cell in cells if cell.record.method == method})
-        parts.append(f"{methods.label(method)} at {' and '.join(str(budget) for budget in budgets)}")
+        lengths = sorted({cell.planned_iterations for cell in cells if cell.record.method == method})
+        parts.append(f"{methods.label(method)} at {' and '.join(map(str, lengths))}")
     scenes = len({cell.dataset_and_scene for cell in cells})
     return f"{scenes} scene{'s' if scenes > 1 else ''}; {', '.join(parts)} iterations"

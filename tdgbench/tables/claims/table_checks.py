@@ -1,12 +1,14 @@
 """Checks of claims on numbers of the main table (and the ablation's), as printed or ours.
 
-A printed number is known to half a unit of its last digit.
+A printed number is known to half a unit of its last digit, one of ours to its 95 % interval over seeds: a claim is
+undecided where that interval holds both numbers that it fits and others.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from tdgbench.tables import measures, methods
@@ -14,15 +16,21 @@ from tdgbench.tables.between_papers import OFF, UNKNOWN, check_averages
 from tdgbench.tables.claims.evidence import Claim, ClaimEvidence, Finding, MissingError
 from tdgbench.tables.measures import AVERAGE, HOURS, OVERALL, PUBLISHED, digits
 from tdgbench.tables.published import printed_half_unit
+from tdgbench.tables.statistics import mean_interval
 
 
 class MethodGain(NamedTuple):
-    """A number of the paper's method (new) and of its baseline (old), at a scene or an average."""
+    """A number of the paper's method (new) and of its baseline (old), at a scene or an average.
+
+    low, high: of the gain, by how much the new value is better: the interval over seeds, or the gain of printed values.
+    """
 
     scene: str
     metric: str
     new: float
     old: float
+    low: float
+    high: float
 
     @property
     def percent(self) -> float:
@@ -40,76 +48,97 @@ def relative_gain(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the average of `metric` is `percent` better."""
     _need_the_papers_scenes(evidence)
     found, half = _overall(evidence, claim.metric)._replace(scene=OVERALL), printed_half_unit(claim.percent)
-    tolerance = _tolerance(evidence, claim.metric, OVERALL)
-    ends = [(found.new + a * tolerance, found.old + b * tolerance) for a in (-1, 1) for b in (-1, 1)]
-    gains = [found._replace(new=new, old=old).percent for new, old in ends]
-    low, high = min(gains), max(gains)  # that the printed numbers allow
-    fits = low <= float(claim.percent) + half and high >= float(claim.percent) - half
+    low, high = (100 * end / found.old for end in (found.low, found.high))
+    if evidence.printed:  # what the printed numbers allow
+        tolerance = _tolerance(evidence, claim.metric, OVERALL)
+        ends = [(found.new + a * tolerance, found.old + b * tolerance) for a in (-1, 1) for b in (-1, 1)]
+        gains = [found._replace(new=new, old=old).percent for new, old in ends]
+        low, high = min(gains), max(gains)
+    surely, possibly = _fits(evidence, (low, high), float(claim.percent), half)
     grounds = f"{found.change} is {found.percent:+.3f} %"
-    if not fits and low / 100 - half <= float(claim.percent) <= high / 100 + half:
+    if not possibly and low / 100 - half <= float(claim.percent) <= high / 100 + half:
         grounds += f"; {claim.percent} is the fraction, not the percentage"
-    return Finding.decided(fits, grounds)
+    return Finding.decided(surely, possibly, grounds)
 
 
 def averages(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the averages of `metric` are `averages`, which are by method."""
     _need_the_papers_scenes(evidence)
-    found = _overall(evidence, claim.metric)
-    values = dict(zip(methods.paper_pair(), (found.new, found.old), strict=True))
-    printed = claim.averages
-    fits = all(abs(v - float(printed[m])) <= printed_half_unit(printed[m]) for m, v in values.items())
-    return Finding.decided(fits, ", ".join(f"{methods.label(method)} {value:.4g}" for method, value in values.items()))
+    values = {m: _by_seed(evidence, m, evidence.overall, claim.metric) for m in methods.paper_pair()}
+    fits = [
+        _fits(evidence, _interval(evidence, by_seed), float(claim.averages[m]), printed_half_unit(claim.averages[m]))
+        for m, by_seed in values.items()
+    ]
+    grounds = ", ".join(f"{methods.label(m)} {_value(evidence, m, evidence.overall, claim.metric):.4g}" for m in values)
+    surely, possibly = map(all, zip(*fits, strict=True))
+    return Finding.decided(surely, possibly, grounds)
 
 
 def average_gains(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better in the average of each of `metrics`."""
     gains = [_overall(evidence, metric) for metric in claim.metrics]
     grounds = ", ".join(f"{gain.metric} {gain.percent:+.2f} %" for gain in gains)
-    return Finding.decided(min(gain.percent for gain in gains) > 0, f"{_label()} is better by {grounds}")
+    label = methods.label(methods.paper_pair().method)
+    return _decided(min(gain.percent for gain in gains) > 0, f"{label} is better by {grounds}")
 
 
 def minutes_saved(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that training takes `minutes` less on average."""
     _need_the_papers_scenes(evidence)
-    found = _overall(evidence, HOURS.name)
+    found, minutes = _overall(evidence, HOURS.name), float(claim.minutes)
     tolerance = 60 * 2 * _tolerance(evidence, HOURS.name, OVERALL) + printed_half_unit(claim.minutes)
-    saved = 60 * (found.old - found.new)
-    return Finding.decided(abs(saved - float(claim.minutes)) <= tolerance, f"{saved:.2f} min")
+    fits = _fits(evidence, (60 * found.low, 60 * found.high), minutes, tolerance)
+    return Finding.decided(*fits, f"{60 * (found.old - found.new):.2f} min")
 
 
 def better_scenes(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better at every scene of `dataset`, but for as many `exceptions` by metric."""
-    worse = [gain for gain in _gains(claim, evidence, claim.metrics) if gain.percent <= 0]
-    texts = {m: [f"{gain.scene} {gain.change}" for gain in worse if gain.metric == m] for m in claim.metrics}
-    fits = all(len(found) <= claim.exceptions.get(metric, 0) for metric, found in texts.items())
-    parts = [f"{metric}: {', '.join(found)}" for metric, found in texts.items() if found]
-    return Finding.decided(fits, "not better: " + "; ".join(parts) if parts else "better everywhere")
+    gains = _gains(claim, evidence, claim.metrics)
+
+    def exceptions(of: list[MethodGain]) -> dict[str, list[str]]:
+        return {m: [f"{gain.scene} {gain.change}" for gain in of if gain.metric == m] for m in claim.metrics}
+
+    def few(of: dict[str, list[str]]) -> bool:
+        return all(len(found) <= claim.exceptions.get(metric, 0) for metric, found in of.items())
+
+    not_surely, worse = exceptions([g for g in gains if g.low <= 0]), exceptions([g for g in gains if g.high <= 0])
+    parts = [f"{metric}: {', '.join(found)}" for metric, found in not_surely.items() if found]
+    word = "not better" if evidence.printed else "not surely better"
+    return Finding.decided(few(not_surely), few(worse), f"{word}: {'; '.join(parts)}" if parts else "better everywhere")
 
 
 def better_mostly(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better in most scenes × metrics. Equal (printed) values are no gain."""
     gains = _gains(claim, evidence, claim.metrics)
-    better, equal = [gain.metric for gain in gains if gain.percent > 0], sum(gain.percent == 0 for gain in gains)
+    better, open_ = [gain.metric for gain in gains if gain.low > 0], _open(gains)
     by_metric = ", ".join(f"{metric} {better.count(metric)}" for metric in claim.metrics)
-    grounds = f"better in {len(better)} of {len(gains)} scenes × metrics, equal in {equal} ({by_metric})"
-    return Finding.decided(len(better) > len(gains) / 2, grounds)
+    word = "equal" if evidence.printed else "undecided"
+    grounds = f"better in {len(better)} of {len(gains)} scenes × metrics, {word} in {open_} ({by_metric})"
+    possibly = sum(gain.high > 0 for gain in gains) > len(gains) / 2
+    return Finding.decided(len(better) > len(gains) / 2, possibly, grounds)
 
 
 def mixed(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that each method is better somewhere among the data set's scenes × metrics."""
-    gains = [gain.percent for gain in _gains(claim, evidence, claim.metrics)]
-    better, worse = sum(gain > 0 for gain in gains), sum(gain < 0 for gain in gains)
-    counts = f"better in {better}, worse in {worse}, equal in {len(gains) - better - worse}"
-    return Finding.decided(better > 0 and worse > 0, f"of {len(gains)} scenes × metrics {_label()} is {counts}")
+    gains = _gains(claim, evidence, claim.metrics)
+    better, worse, open_ = sum(g.low > 0 for g in gains), sum(g.high < 0 for g in gains), _open(gains)
+    label, word = methods.label(methods.paper_pair().method), "equal" if evidence.printed else "undecided"
+    counts = f"{label} is better in {better}, worse in {worse}, {word} in {open_}"
+    surely = better > 0 and worse > 0
+    possibly = surely or (not evidence.printed and len(gains) > 1 and open_ + min(better, worse) > 0)
+    return Finding.decided(surely, possibly, f"of {len(gains)} scenes × metrics {counts}")
 
 
 def within(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that at every scene of `dataset` the two methods differ by at most `most`."""
-    gaps = {found.scene: found.new - found.old for found in _gains(claim, evidence, [claim.metric])}
-    widest = max(gaps, key=lambda scene: abs(gaps[scene]))
-    tolerance = 2 * _tolerance(evidence, claim.metric, widest)
-    over = [f"{scene} {gap:+.2f}" for scene, gap in gaps.items() if abs(gap) > claim.most + tolerance]
-    return Finding.decided(not over, ", ".join(over) if over else f"at most {gaps[widest]:+.2f} at {widest}")
+    gains = _gains(claim, evidence, [claim.metric])
+    widest = max(gains, key=lambda gain: abs(gain.new - gain.old))
+    most = claim.most + 2 * _tolerance(evidence, claim.metric, widest.scene)
+    over = [f"{gain.scene} {gain.new - gain.old:+.2f}" for gain in gains if abs(gain.new - gain.old) > most]
+    fits = [_fits(evidence, (gain.low, gain.high), 0.0, most) for gain in gains]
+    grounds = ", ".join(over) if over else f"at most {widest.new - widest.old:+.2f} at {widest.scene}"
+    surely, possibly = map(all, zip(*fits, strict=True))
+    return Finding.decided(surely, possibly, grounds)
 
 
 def ablation_drop(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -121,7 +150,7 @@ def ablation_drop(claim: Claim, evidence: ClaimEvidence) -> Finding:
             raise MissingError(f"no PSNR of {method} from random and from COLMAP points")
         drops[method] = float(by_init["colmap"] - by_init["random"])
     grounds = ", ".join(f"{method} loses {drop:.2f} dB" for method, drop in drops.items())
-    return Finding.decided(min(drops.values()) >= claim.drop, grounds)
+    return _decided(min(drops.values()) >= claim.drop, grounds)
 
 
 def ablation_agrees(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -134,7 +163,7 @@ def ablation_agrees(claim: Claim, evidence: ClaimEvidence) -> Finding:
             there, here = _by_init(evidence, method, metric), _value(evidence, method, evidence.overall, metric)
             if abs(there["colmap"] - here) > 2 * _tolerance(evidence, metric, OVERALL):
                 off.append(f"{method} {metric}: {there['colmap']} in the ablation, {here} in the main table")
-    return Finding.decided(not off, "; ".join(off) if off else "the same in both tables")
+    return _decided(not off, "; ".join(off) if off else "the same in both tables")
 
 
 def averages_follow(_claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -150,7 +179,7 @@ def averages_follow(_claim: Claim, evidence: ClaimEvidence) -> Finding:
         f"{row.method} {row.dataset} {row.metric}: {row.mean:.4f}, not {row.printed}"
         for row in checked[checked["verdict"] == OFF].itertuples()
     ]
-    return Finding.decided(not off, "; ".join(off) if off else f"all {len(checked)} follow, within rounding")
+    return _decided(not off, "; ".join(off) if off else f"all {len(checked)} follow, within rounding")
 
 
 def bold_follows(_claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -167,7 +196,7 @@ def bold_follows(_claim: Claim, evidence: ClaimEvidence) -> Finding:
     by_row = pd.Series(goodness, table.index).groupby([table["dataset"], table["scene"], table["metric"]])
     best = (by_row.rank(method="max", ascending=False) == 1) & (by_row.transform("count") > 1)
     places = list(dict.fromkeys(f"{row.scene} {row.metric}" for row in table[best != table["bold"]].itertuples()))
-    return Finding.decided(not places, ", ".join(places) if places else "every mark follows")
+    return _decided(not places, ", ".join(places) if places else "every mark follows")
 
 
 def _gains(claim: Claim, evidence: ClaimEvidence, metrics: list[str]) -> list[MethodGain]:
@@ -185,7 +214,45 @@ def _overall(evidence: ClaimEvidence, metric: str) -> MethodGain:
 
 
 def _gain(evidence: ClaimEvidence, scene: str, metric: str) -> MethodGain:
-    return MethodGain(scene, metric, *(_value(evidence, method, scene, metric) for method in methods.paper_pair()))
+    new, old = (_value(evidence, method, scene, metric) for method in methods.paper_pair())
+    by_seed = [_by_seed(evidence, method, scene, metric) for method in methods.paper_pair()]
+    low, high = _interval(evidence, measures.gain(metric, *by_seed))
+    return MethodGain(scene, metric, new, old, low, high)
+
+
+def _by_seed(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> np.ndarray:
+    """Return a number by seed (S,), NaN where a seed lacks it; of print, the number alone (1,)."""
+    value = _value(evidence, method, scene, metric)
+    if evidence.by_seed is None:
+        return np.array([value])
+    return evidence.by_seed.xs((method, scene, metric), level=("method", "scene", "metric")).to_numpy(float)[0]
+
+
+def _interval(evidence: ClaimEvidence, by_seed: np.ndarray) -> tuple[float, float]:
+    """Return the ends of the 95 % interval of a number by seed (S,), without any for one seed; of print, the number."""
+    if evidence.by_seed is None:
+        return by_seed[0], by_seed[0]
+    known = by_seed[np.isfinite(by_seed)]
+    return mean_interval(known)[1:] if len(known) > 1 else (-np.inf, np.inf)
+
+
+def _fits(evidence: ClaimEvidence, ends: tuple[float, float], claimed: float, tolerance: float) -> tuple[bool, bool]:
+    """Return whether a number between these ends is surely, and whether possibly, the claimed one to a tolerance.
+
+    Printed numbers need only be possibly: their ends are rounding.
+    """
+    low, high = ends
+    possibly = low <= claimed + tolerance and high >= claimed - tolerance
+    return possibly if evidence.printed else claimed - tolerance <= low and high <= claimed + tolerance, possibly
+
+
+def _open(gains: list[MethodGain]) -> int:
+    """Return how many gains may be none."""
+    return sum(gain.low <= 0 <= gain.high for gain in gains)
+
+
+def _decided(holds: bool, grounds: str) -> Finding:
+    return Finding.decided(holds, holds, grounds)
 
 
 def _value(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> float:
@@ -208,10 +275,6 @@ def _by_init(evidence: ClaimEvidence, method: str, metric: str) -> pd.Series:
 def _tolerance(evidence: ClaimEvidence, metric: str, scene: str) -> float:
     """Return how far a value may be from what was printed."""
     return measures.half_unit(metric, scene) if evidence.printed else 0.0
-
-
-def _label() -> str:
-    return methods.label(methods.paper_pair().method)
 
 
 def _need_the_papers_scenes(evidence: ClaimEvidence) -> None:

@@ -14,7 +14,7 @@ import gdown
 import pytest
 import requests
 
-from tdgbench.data.get.fetch import DOWNLOADS, RECORD
+from tdgbench.data.get.command import DOWNLOADS, RECORD
 from tests.helpers.archives import scene_files, zipped
 from tests.helpers.command import tdgbench_here
 

@@ -20,7 +20,7 @@ def server():
 
 def test_files_of_a_record(server):
     address = f"{server.address}/api/records/1/files/"
-    assert list_files(SOURCE, server.address + "/").files == [
+    assert list_files(SOURCE, server.address + "/")[0] == [
         RemoteFile(PurePosixPath(name), f"{address}{name}/content", size, f"md5:{md5}")
         for name, size, md5 in (
             ("lion.zip", 5, "827ccb0eea8a706c4c34a16891f84e7b"),

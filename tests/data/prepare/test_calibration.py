@@ -12,7 +12,6 @@ from tdgbench.data.prepare.prepare import PrepareOptions, prepare_scene
 from tdgbench.data.prepare.sfm import SfmOptions
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap.tables import CameraEntry
-from tests.helpers.command import tdgbench_here
 
 SIZE = (640, 512)
 METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
@@ -136,10 +135,3 @@ def test_files_state_where_colmap_begins(tmp_path, monkeypatch):
             prepare_scene(tmp_path / "camera", tmp_path / "out", PrepareOptions(sfm=sfm))
     assert given[0].focal == pytest.approx(757.65, rel=1e-4) and given[0].refine
     assert given[1].focal == 500 and not given[1].refine
-
-
-def test_options_that_contradict(tmp_path):
-    (tmp_path / "camera").mkdir()
-    for options in (("--focal", "500", "--calibration", "lens.xml"), ("--refine",)):
-        run = tdgbench_here(tmp_path, "data", "prepare", "camera", "out", *options)
-        assert run.returncode != 0 and options[0] in run.stderr and not (tmp_path / "out").exists()

@@ -51,11 +51,13 @@ def test_next_steps_can_be_pasted(out):
     [
         ("--mapping", "1", "0", "0", "--homography", "H.txt"),
         ("--degC-per-count", "0"),
-        ("--degC-per-count", "nan"),
         ("--degC-at-zero", "20"),
-        ("--focal", "abc"),
+        ("--focal", "nan"),
         ("--threads", "0"),
         ("--matching", "none"),
+        ("--focal", "500", "--calibration", "lens.xml"),
+        ("--refine",),
+        ("--poses", "a.json", "--no-sfm"),
     ],
 )
 def test_wrong_options(tmp_path, options):

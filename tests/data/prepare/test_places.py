@@ -32,11 +32,11 @@ def test_a_focal_length_that_contradicts_the_height_is_doubted():
     down, level = np.diag([1.0, -1.0, -1.0, 1.0]), np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
     down[2, 3] = 15
     points = np.random.default_rng(0).normal(0, 1, (50, 3)) * [10, 10, 0.5]
-    doubt = doubted_by_height([down] * 3, points, [30.0, 29.0, 31.0], 380.0)
-    assert doubt is not None and "15 m above the points, by their files 30 m" in doubt and "nearer to 7" in doubt
-    assert doubted_by_height([down] * 3, points, [14.0, 15.0, 17.0], 380.0) is None
-    assert doubted_by_height([level] * 3, points - np.array([0, 0, 15]), [30.0] * 3, 380.0) is None
-    assert doubted_by_height([down] * 3, points[:0], [30.0] * 3, 380.0) is None
+    (doubt,) = doubted_by_height([(down, height) for height in (30.0, 29.0, 31.0)], points, 380.0)
+    assert "15 m above the points, by their files 30 m" in doubt and "nearer to 7" in doubt
+    assert doubted_by_height([(down, height) for height in (14.0, 15.0, 17.0)], points, 380.0) == []
+    assert doubted_by_height([(level, 30.0)] * 3, points - np.array([0, 0, 15]), 380.0) == []
+    assert doubted_by_height([(down, 30.0)] * 3, points[:0], 380.0) == []
 
 
 def test_coordinates_are_metres():

@@ -100,15 +100,6 @@ def test_report_says_what_became_of_each_file(tmp_path, small_gray_scene, monkey
     assert len(list((tmp_path / "scene" / "thermal").iterdir())) == 5
 
 
-def test_extraction_alone(tmp_path, small_gray_scene):
-    source = capture(small_gray_scene, tmp_path / "camera", views=2)
-    report = prepare_scene(source, tmp_path / "out", EXTRACT)
-    view = small_gray_scene.views[0]
-    degC = np.asarray(Image.open(tmp_path / "out" / "thermal" / f"{view.name}.tiff"))
-    assert np.allclose(degC, read_celsius(source / f"{view.name}.jpg"), atol=1e-3)  # nothing is undistorted
-    assert not (tmp_path / "out" / "sparse").exists() and "run COLMAP on rgb/" in report.text()
-
-
 def test_radiometric_tiff_pairs_and_masks(tmp_path):
     source = tmp_path / "camera"
     source.mkdir()
@@ -121,6 +112,7 @@ def test_radiometric_tiff_pairs_and_masks(tmp_path):
     options = replace(EXTRACT, pairs=("*_T.tiff", "*_V.jpg"), counts=CountScale(1 / 40, -100.0))
     report = prepare_scene(source, tmp_path / "out", options)
     assert report.size == (40, 30) and report.is_complete
+    assert not (tmp_path / "out" / "sparse").exists() and "run COLMAP on rgb/" in report.text()
     written = np.asarray(Image.open(tmp_path / "out" / "thermal" / "1.tiff"))
     assert np.allclose(written[10:], degC[10:], atol=0.02) and not (tmp_path / "out" / "masks").exists()
     with pytest.raises(SceneError, match="degC_per_count"):

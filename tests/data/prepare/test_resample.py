@@ -72,7 +72,8 @@ def test_thermal_image_beyond_the_rgb_image():
 
 
 def at(mapping, x, y):
-    return tuple(float(v) for v in mapping.apply(np.array(x), np.array(y)))
+    row, column = mapping.indices(np.array(y - 0.5), np.array(x - 0.5))
+    return float(column + 0.5), float(row + 0.5)
 
 
 def test_same_view():

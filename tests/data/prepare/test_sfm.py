@@ -6,10 +6,10 @@ import pycolmap
 import pytest
 from PIL import Image
 
+from tdgbench.data.folders import Stages
 from tdgbench.data.prepare import sfm
 from tdgbench.data.prepare.capture import picture
 from tdgbench.data.prepare.sfm import SfmOptions, image_pairs, reconstruct
-from tdgbench.data.prepare.stages import Stages
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap.tables import CameraEntry
 from tests.helpers.relief import FOCAL, HEIGHT, WIDTH, places, write_relief
@@ -29,8 +29,7 @@ def test_no_model_is_one_error(tmp_path):
     for name in names:
         Image.fromarray(np.full((48, 64, 3), 128, np.uint8)).save(tmp_path / name)
     with pytest.raises(
-        SceneError,
-        match=r"COLMAP finds no model in 3 RGB images.*0 to 0 features and no verified.*Take more",
+        SceneError, match=r"COLMAP finds no model in 3 RGB images.*0 to 0 features and no verified.*Take more"
     ):
         reconstruct(tmp_path, names, Stages(tmp_path / "work"), SfmOptions(threads=1))
 

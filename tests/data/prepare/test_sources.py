@@ -39,26 +39,17 @@ def test_flir_files_bring_their_photos(tmp_path):
     assert left_out == [(name, f"no thermal image is named {name}") for name in lonely]
 
 
-def test_raw_images_of_a_scene(tmp_path):
+def test_folders_and_equal_names(tmp_path):
     (tmp_path / "raw_images").mkdir()
     write_flir(tmp_path / "raw_images" / "a.jpg", COUNTS, PHOTO)
     photo(tmp_path / "thumbnail.jpg")
     assert names(find_sources(tmp_path)) == [("a", "a.jpg", None)]
-
-
-def test_folders_and_equal_names(tmp_path):
     for view in "ab":
         tiff(tmp_path / "thermal" / f"{view}.tiff")
     photo(tmp_path / "rgb" / "b.jpg")
     found = find_sources(tmp_path)
     assert names(found) == [("b", "b.tiff", "b.jpg")]
     assert list(found.left_out.values()) == ["no RGB image is named a"]
-
-
-def test_equal_names_in_one_folder(tmp_path):
-    tiff(tmp_path / "a.tiff")
-    photo(tmp_path / "a.jpg")
-    assert names(find_sources(tmp_path)) == [("a", "a.tiff", "a.jpg")]
 
 
 def test_patterns(tmp_path):

@@ -10,8 +10,8 @@ import pycolmap
 import pytest
 from PIL import Image
 
+from tdgbench.data.folders import Stages
 from tdgbench.data.prepare import prepare, sfm
-from tdgbench.data.prepare.stages import Stages
 from tests.helpers.command import tdgbench_here
 from tests.helpers.paths import ROOT
 from tests.helpers.relief import FOCAL, places, write_relief

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from datetime import datetime
 
 import pytest
@@ -23,17 +25,14 @@ def test_outcomes_come_in_the_order_of_the_jobs(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("launcher", "threads"),
-    [({}, None), ({"n_jobs": 2}, 4), ({"n_jobs": -1}, 1), ({"n_jobs": 16}, 1), ({"n_jobs": 3}, 2), ({"n_jobs": 1}, 8),
-     ({"cpus_per_task": 3}, 3), ({"ray": {"remote": {}}}, 1), ({"ray": {"remote": {"num_cpus": 4}}}, 4)],
+    ("launcher", "cells", "threads"),
+    [({}, 20, None), ({"n_jobs": 2}, 20, 4), ({"n_jobs": -1}, 20, 1), ({"n_jobs": 16}, 20, 1), ({"n_jobs": 3}, 20, 2),
+     ({"n_jobs": 1}, 20, 8), ({"cpus_per_task": 3}, 20, 3), ({"ray": {"remote": {}}}, 20, 1),
+     ({"ray": {"remote": {"num_cpus": 4}}}, 20, 4), ({"n_jobs": -1}, 4, 2), ({"n_jobs": 4}, 2, 4),
+     ({"n_jobs": -1}, 0, 1), ({"n_jobs": 4}, 0, 2)],
 )  # fmt: skip
-def test_workers_share_the_cores(launcher, threads):
-    assert worker_threads(OmegaConf.create(launcher), 8, cells=20) == threads
-
-
-@pytest.mark.parametrize(("workers", "cells", "threads"), [(-1, 4, 2), (4, 2, 4), (-1, 1, 8), (-1, 0, 1), (4, 0, 2)])
-def test_a_few_cells_share_all_cores(workers, cells, threads):
-    assert worker_threads(OmegaConf.create({"n_jobs": workers}), 8, cells) == threads
+def test_workers_share_the_cores(launcher, cells, threads):
+    assert worker_threads(OmegaConf.create(launcher), 8, cells) == threads
 
 
 def test_time_left_is_that_of_the_mean_finished_cell():
@@ -85,3 +84,15 @@ def test_a_plan_that_another_sweep_replaces_does_not_merge_cells(tmp_path, data_
     run = command_here(tmp_path, "-m", *QUICK, *sweep)
     assert "2 cells run" in run.stdout and "experiment.json is not the plan of a sweep" in run.stdout
     assert len(read_all(tmp_path / "results" / "single")) == 2
+
+
+CODE = """
+import sys
+import methods.msmg, methods.tdg, tdgbench.bench.run_cell, tdgbench.experiments.sweep.run
+print([name for name in ("matplotlib", "pandas", "scipy.stats") if name in sys.modules])
+"""
+
+
+def test_no_library_of_the_tables_is_there_before_they_are_made():
+    found = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True)
+    assert found.stdout == "[]\n"

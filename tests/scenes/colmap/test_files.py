@@ -51,14 +51,8 @@ def test_tracks_and_2d_points_are_those_of_pycolmap(models, kind):
         assert track.tolist() == [element.image_id for element in expected.points3D[number].track.elements]
 
 
-WAYS = (
-    "{row}\n",
-    "\n{row}\n\n",
-    "{row}\r\n\r\n",
-    "{row}  \n# none\n",
-    "{row}\r",
-    "{row}\n\n\n10.5 11.5 -1 20 30 -1.0\n",
-)
+WAYS = ("{row}\n", "\n{row}\n\n", "{row}\r\n\r\n", "{row}  \n# none\n", "{row}\r",
+        "{row}\n\n\n10.5 11.5 -1 20 30 -1.0\n")  # fmt: skip
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -177,9 +171,7 @@ def test_binary_files_come_before_text(models, tmp_path):
 
 
 @seed(0)
-@settings(
-    max_examples=100, deadline=None, database=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)  # fmt: skip
+@settings(max_examples=100, deadline=None, database=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from(FORMATS), st.integers(0, 2**32), st.integers(1, 8))
 def test_changed_bytes_give_a_model_or_one_error(models, tmp_path, kind, number, count):
     folder = copied(models[kind], tmp_path / "model")

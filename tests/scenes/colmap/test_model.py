@@ -1,18 +1,16 @@
 import numpy as np
 import pycolmap
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tdgbench.scenes import Camera, PointCloud, SceneError
+from tdgbench.scenes.camera import pose_at
 from tdgbench.scenes.colmap import read_model, write_model
 
 
 def pose(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    result = np.eye(4)
-    result[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
-    result[:3, 3] = rng.normal(size=3)
-    return result
+    return pose_at(rng.normal(size=3), Rotation.random(random_state=seed).as_matrix())
 
 
 def test_round_trip(tmp_path):

@@ -35,17 +35,13 @@ def test_a_folder_of_scenes_in_all_layouts(small_gray_scene, tmp_path):
     assert all(layout.looks in str(error.value) for layout in LAYOUTS.values())
 
 
-@pytest.mark.parametrize("name", sorted(SHIPPED.keys() - {"sear"}))
-def test_registered_scenes_may_have_any_layout(small_gray_scene, tmp_path, name):
-    SHIPPED[name].write(small_gray_scene, tmp_path / "ThermalMix" / "Pan")
-    scene = RegisteredDataset(str(tmp_path), ReadOptions()).load("Pan")
-    assert scene.assumed["layout"].startswith(LAYOUTS[SHIPPED[name].layout].title) and len(scene.views) == 10
-
-
-def test_a_folder_without_a_layout(tmp_path):
-    (tmp_path / "ThermalMix" / "Pan").mkdir(parents=True)
-    with pytest.raises(SceneError, match=r"Pan has none of the layouts of a scene \(ThermalMix: warped_thermal/"):
-        RegisteredDataset(str(tmp_path), ReadOptions()).load("Pan")
+def test_registered_scenes_may_have_any_layout(small_gray_scene, tmp_path):
+    SHIPPED["rgbt_scenes"].write(small_gray_scene, tmp_path / "ThermalMix" / "Pan")
+    (tmp_path / "ThermalMix" / "Lion").mkdir()
+    dataset = RegisteredDataset(str(tmp_path), ReadOptions())
+    assert dataset.load("Pan").assumed["layout"].startswith("RGBT-Scenes")
+    with pytest.raises(SceneError, match=r"Lion has none of the layouts of a scene \(ThermalMix: warped_thermal/"):
+        dataset.load("Lion")
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -77,11 +77,3 @@ def test_thermal_alone(small_gray_scene, tmp_path):
         _ = scene.train[0].rgb
     dataset = FolderDataset(str(tmp_path), ReadOptions(), "ti_nsd")
     assert dataset.names() == ["building"] and dataset.load(None).dataset == "TI-NSD"
-
-
-def test_without_images(small_gray_scene, tmp_path):
-    folder = write_ti_nsd(small_gray_scene, tmp_path / "building")
-    for path in (folder / "images").iterdir():
-        path.unlink()
-    with pytest.raises(SceneError, match=r"images holds no image; put one of each view there"):
-        load(folder)

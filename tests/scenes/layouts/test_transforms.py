@@ -57,7 +57,7 @@ ZERO = {"k1": 0, "k2": 0, "p1": 0, "p2": 0}
 def test_is_fisheye_is_the_lens_opencv_fisheye(file):
     radial = ZERO | {"k1": 0.12, "k2": -0.03, "k4": 0.01}
     lenses = [
-        {one.posed.lens for one in read_transforms(path).frames.values()}
+        {one.lens for one in read_transforms(path).posed.values()}
         for path in (file(["camera_model"], **radial, is_fisheye=True), file(**radial, camera_model="OPENCV_FISHEYE"))
     ]
     assert lenses[0] == lenses[1]
@@ -67,13 +67,13 @@ def test_is_fisheye_is_the_lens_opencv_fisheye(file):
 
 def test_missing_intrinsics_are_those_of_instant_ngp(file):
     """An angle of view for the focal length, square pixels, the centre, the image's size."""
-    expected = read_transforms(file(**ZERO)).frames
+    expected = read_transforms(file(**ZERO)).posed
     drop = ["fl_x", "fl_y", "cx", "cy", "w", "h", "camera_model"]
-    (lens,) = {one.posed.lens for one in expected.values()}
+    (lens,) = {one.lens for one in expected.values()}
     angle = 2 * np.arctan(lens.width / 2 / lens.params[0])
     found = read_transforms(file(drop, **ZERO, camera_angle_x=angle))
-    for name, one in found.frames.items():
-        assert np.allclose(one.posed.camera.K, expected[name].posed.camera.K) and one.posed.lens[:4] == lens[:4]
+    for name, one in found.posed.items():
+        assert np.allclose(one.camera.K, expected[name].camera.K) and one.lens[:4] == lens[:4]
     said = found.assumed["intrinsics"]
     assert all(word in said for word in ("fl_y is fl_x", "cx is the centre", "w and h are the image's"))
 
@@ -106,9 +106,9 @@ def test_keys_without_a_meaning_for_cameras(file):
                 "lens": "13 mm", "integer_depth_scale": 0.001, "rolling_shutter": [0, 0, 0, 0], "applied_scale": 1.0,
                 "is_fisheye": False, "camera_angle_x": 1.0}  # fmt: skip
     frames = {"sharpness": 30.5, "colmap_im_id": 3, "depth_file_path": "depths/0.png"}
-    plain = read_transforms(file()).frames
-    for name, one in read_transforms(file(**harmless, frames=frames)).frames.items():
-        assert np.array_equal(one.posed.camera.K, plain[name].posed.camera.K)
+    plain = read_transforms(file()).posed
+    for name, one in read_transforms(file(**harmless, frames=frames)).posed.items():
+        assert np.array_equal(one.camera.K, plain[name].camera.K)
 
 
 def test_a_mask_of_each_frame(file):

@@ -6,14 +6,15 @@ import pytest
 
 from tdgbench.scenes import FolderDataset, ReadOptions, SceneError
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
-from tdgbench.scenes.synthetic.dataset import FOLDER, read_truth
-from tests.helpers.layouts import celsius
+from tdgbench.scenes.synthetic.dataset import FOLDER
+from tests.helpers.layouts import celsius, read_truth
 
 TINY = {"width": 24, "height": 18, "views": 5, "points": 50}
+SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}
 
 
 def load(root, **errors):
-    return SyntheticDataset(str(root), ReadOptions(), 48, 36, 10, 300, errors=CaptureErrors(**errors)).load("turntable")
+    return SyntheticDataset(str(root), ReadOptions(), **SIZE, errors=CaptureErrors(**errors)).load("turntable")
 
 
 def test_a_view_past_the_end_of_the_world_is_an_error(tmp_path):
@@ -80,7 +81,7 @@ def test_given_poses_differ_and_images_do_not(data_root, tmp_path):
 
 def test_a_resized_scene_has_the_resized_truth(data_root):
     whole = load(data_root)
-    half = SyntheticDataset(str(data_root), ReadOptions(width=24), 48, 36, 10, 300).load("turntable")
+    half = SyntheticDataset(str(data_root), ReadOptions(width=24), **SIZE).load("turntable")
     for big, small in zip(whole.views, half.views, strict=True):
         assert small.thermal.shape == (18, 24, 1)
         for name in ("true_depth", "true_temperature"):
@@ -92,15 +93,6 @@ def test_each_set_of_errors_has_a_folder(tmp_path):
     some = ({}, {"noise_degC": 0.5}, {"pose_units": 0.01}, {"thermal_camera": ThermalErrors(gain=0.05)})
     datasets = [SyntheticDataset(str(tmp_path), ReadOptions(), errors=CaptureErrors(**errors)) for errors in some]
     assert len({dataset.folder("turntable") for dataset in datasets}) == 4
-
-
-def test_only_errors_of_the_camera_have_a_truth():
-    pattern = ThermalErrors(pattern_degC=1.0)
-    assert not CaptureErrors(noise_degC=1.0, pose_units=0.1).has_truth
-    assert CaptureErrors(drift_degC=1.0).has_truth and CaptureErrors(thermal_camera=pattern).has_truth
-
-
-SIZE = {"width": 48, "height": 36, "views": 10, "points": 300}
 
 
 def load_camera(root, name="turntable", noise_degC=0.0, drift_degC=0.0, **camera):
@@ -123,10 +115,8 @@ def test_the_written_truth_explains_the_images(tmp_path, name):
 
 
 def test_gain_control_loses_temperatures_and_states_its_limits(tmp_path):
-    clean, scene = (
-        load_camera(tmp_path / "clean", encoding="degC"),
-        load_camera(tmp_path, encoding="agc", walk_degC=2.0),
-    )
+    clean = load_camera(tmp_path / "clean", encoding="degC")
+    scene = load_camera(tmp_path, encoding="agc", walk_degC=2.0)
     camera = read_truth(scene.folder).camera
     assert scene.temperature is None and scene.channels == 1 and camera.limits.shape == (10, 2)
     for index, (view, ideal) in enumerate(zip(scene.views, clean.views, strict=True)):
@@ -142,21 +132,3 @@ def test_readers_do_not_open_the_truth(tmp_path):
     shutil.rmtree(scene.folder / FOLDER)
     again = FolderDataset(str(scene.folder), ReadOptions()).load(None)
     assert again.fingerprint == scene.fingerprint and len(again.views) == 10
-
-
-def test_scenes_without_truth_say_so(tmp_path):
-    scene = load_camera(tmp_path)
-    with pytest.raises(SceneError, match=r"has no camera/camera\.npz"):
-        read_truth(scene.folder)
-
-
-def test_a_damaged_truth_is_named(tmp_path):
-    folder = load_camera(tmp_path, gain=0.1).folder
-    path = folder / FOLDER / "camera.npz"
-    for content in (path.read_bytes()[:-100], b"", b"PK"):
-        path.write_bytes(content)
-        with pytest.raises(SceneError, match=r"camera\.npz cannot be read"):
-            read_truth(folder)
-    np.savez(path, names=np.array(["a"]))
-    with pytest.raises(SceneError, match=r"camera\.npz cannot be read"):
-        read_truth(folder)

@@ -8,17 +8,16 @@ from scipy.ndimage import map_coordinates
 from tdgbench.bench.options import OptionError, check_options
 from tdgbench.scenes import ReadOptions, SceneError
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, TrueRig
-from tdgbench.scenes.synthetic.dataset import FOLDER, RIG, read_truth
+from tdgbench.scenes.synthetic.dataset import FOLDER, RIG
 from tests.helpers.configs import config
+from tests.helpers.layouts import read_truth
 
 SIZE = {"width": 96, "height": 72, "views": 5, "points": 300}
 RIG_OF_ALL = TrueRig([0.3, -0.1, 0.05], [1, -2, 1], 1.1, [0.02, 0.01], [-0.2, 0.05])
 
 
-def dataset(root, rig=None) -> SyntheticDataset:
-    return SyntheticDataset(
-        str(root), ReadOptions(), **SIZE, errors=CaptureErrors(noise_degC=0.0, rig=rig or TrueRig())
-    )
+def dataset(root, rig=TrueRig()) -> SyntheticDataset:  # noqa: B008
+    return SyntheticDataset(str(root), ReadOptions(), **SIZE, errors=CaptureErrors(noise_degC=0.0, rig=rig))
 
 
 def pixels():

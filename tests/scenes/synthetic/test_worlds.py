@@ -4,8 +4,8 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from tdgbench.scenes import ReadOptions
 from tdgbench.scenes.synthetic import CaptureErrors, SyntheticDataset, ThermalErrors
-from tdgbench.scenes.synthetic.dataset import read_truth
 from tdgbench.scenes.synthetic.worlds import WORLDS
+from tests.helpers.layouts import read_truth
 from tests.helpers.scenes import small_dataset
 
 OF_THE_PAPER = {  # group, channels; means of thermal images, RGB images and true depth; coordinates of the points

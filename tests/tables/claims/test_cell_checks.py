@@ -11,15 +11,11 @@ from tdgbench.tables.claims import check_claim, load_claims
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEvidence, evidence_of
 from tdgbench.tables.published import published_ablation, published_main
 from tests.helpers.records import write_record
-from tests.tables.claims.small_cells import cell
+from tests.tables.claims.small_cells import cell, ours
 
 CLAIMS = {claim.id: claim for claim in load_claims()}
 OF_METHODS = [name for name, claim in CLAIMS.items() if claim.check == "better"]
 PUBLISHED = ClaimEvidence(published_main(), published_ablation(), printed=True)
-
-
-def ours(*cells) -> ClaimEvidence:
-    return ClaimEvidence(published_main().iloc[:0], None, False, tuple(cells))
 
 
 def sides(folder, claim, gains, **fields):
@@ -29,15 +25,6 @@ def sides(folder, claim, gains, **fields):
         made += [cell(folder, method, gain, scene=scene, **fields) for method in claim.methods]
         made += [cell(folder, method, scene=scene, **fields) for method in claim.against]
     return made
-
-
-def test_every_claim_that_compares_methods_is_here():
-    assert {
-        "fewer-splits", "fewer-floaters", "msmg-densifies", "converges-faster", "single-modality-faster",
-        "depth-better", "geometry-better", "decay-avoids-shocks", "decay-better", "rgb-confuses", "smoothness-helps",
-        "thermalgaussian-thermal", "thermalgaussian-rgb", "thermalgaussian-storage", "thermal3dgs-better",
-        "thermal3dgs-floaters", "thermal3dgs-conduction", "veta-gs-better", "mmone-better", "mmone-compact",
-    } == set(OF_METHODS)  # fmt: skip
 
 
 @pytest.mark.parametrize(

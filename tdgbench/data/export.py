@@ -1,4 +1,4 @@
-"""Write scenes as others read them: 3DGS and ThermalGaussian, nerfstudio and ThermoNeRF, Özer et al.
+"""`tdgbench data export`: scenes as others read them: 3DGS and ThermalGaussian, nerfstudio and ThermoNeRF, Özer et al.
 
 Readers: chen-hangyu/Thermal-Gaussian-main 050c291, scene/dataset_readers.py; nerfstudio-project/nerfstudio 50e0e3c,
 nerfstudio/data/dataparsers/nerfstudio_dataparser.py; Schindler-EPFL-Lab/thermo-nerf 08d9be9, thermo_nerf/thermal_nerf/
@@ -7,29 +7,30 @@ thermal_dataparser.py; mert-o/ThermalNeRFs d822bd1, nerf/colmap_provider.py.
 
 from __future__ import annotations
 
+import argparse
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
 from PIL import Image
 from plyfile import PlyData, PlyElement
 
-from tdgbench.data.new_folder import new_folder
+from tdgbench.bench.options import check_options
+from tdgbench.data.folders import new_folder
+from tdgbench.resources import conf_folder
 from tdgbench.scenes import PointCloud, Scene, SceneError, View
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.layouts.transforms import OPENGL_TO_OPENCV
 from tdgbench.scenes.temperature import BOUNDS_FILE, BOUNDS_KEYS, FILE, KEYS
+from tdgbench.terminal import say
+from tdgbench.text import one_line
 
 STATEMENT = "export.json"
 OBSERVATIONS = 1000  # 2D points of an image
-# In which order a format's readers number views, by name.
-ORDERS: dict[str, Callable[[str], str]] = {
-    "3dgs": lambda name: name.split(".")[0],
-    "nerfstudio": lambda name: f"{name}.png",
-    "oezer": lambda name: name,
-}
 
 
 @dataclass
@@ -54,13 +55,37 @@ class Statement:
     rounding: float = 0.0
 
 
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="the scene's folder, in any layout")
+    parser.add_argument("out", type=Path, metavar="OUT", help="folder to write, which must not exist")
+    parser.add_argument("--format", choices=FORMATS, required=True, help="of the readers: docs/other-programs.md")
+    parser.add_argument("--data", nargs="+", default=[], metavar="OPTION=VALUE",
+                        help="options data.* of a training, such as split=every_8th width=640")  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Export a scene, read as by a training with these options, and print what its readers have to know."""
+    if any(option.startswith("root=") for option in arguments.data):
+        raise SceneError(f"--data {' '.join(arguments.data)}: the root is SCENE; leave it out")
+    with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+        cfg = compose("config", overrides=["dataset=folder", *(f"data.{option}" for option in arguments.data)])
+    cfg.data.root = str(arguments.scene)
+    check_options(cfg)
+    scene: Scene = instantiate(cfg.dataset.loader).load(cfg.scene)
+    for note in export_scene(scene, arguments.out, arguments.format).notes:
+        say(one_line(note), "note", "dim")
+    say(f"{arguments.out}: {len(scene.train)} training and {len(scene.test)} test views; values are in {STATEMENT}")
+    return 0
+
+
 def export_scene(scene: Scene, out: Path, name: str) -> Statement:
     """Write a scene into the folder `out` in a format (a key of FORMATS), whole or not at all.
 
     Cameras are pinholes and images are those of a training: undistorted, resized, in the scene's range. Returns what
     `export.json` says beside them. Raises SceneError, for one if `out` exists.
     """
-    train, test = (sorted((view.name for view in views), key=ORDERS[name]) for views in (scene.train, scene.test))
+    write, order = FORMATS[name]
+    train, test = (sorted((view.name for view in views), key=order) for views in (scene.train, scene.test))
     notes = [*scene.notes, *(f"assumed {key}: {line}" for key, line in scene.assumed.items()), *scene.doubts]
     statement = Statement(name, scene.name, scene.fingerprint, scene.split, train, test, notes)
     if scene.channels == 1 and scene.temperature is not None:
@@ -68,7 +93,7 @@ def export_scene(scene: Scene, out: Path, name: str) -> Statement:
     elif scene.channels == 1 and scene.raw_count_range is not None:
         statement.unit, (statement.black, statement.white) = "counts", scene.raw_count_range
     with new_folder(out) as part:
-        FORMATS[name](scene, part, statement)
+        write(scene, part, statement)
         _write_json(part / STATEMENT, asdict(statement))
     return statement
 
@@ -221,4 +246,9 @@ def _write_ply(path: Path, points: PointCloud) -> None:
     PlyData([PlyElement.describe(rows, "vertex")]).write(path)
 
 
-FORMATS = {"3dgs": _write_3dgs, "nerfstudio": _write_nerfstudio, "oezer": _write_oezer}
+# By name: what writes one, and by what its readers sort the names of views.
+FORMATS: dict[str, tuple[Callable[[Scene, Path, Statement], None], Callable[[str], str]]] = {
+    "3dgs": (_write_3dgs, lambda name: name.split(".")[0]),
+    "nerfstudio": (_write_nerfstudio, lambda name: f"{name}.png"),
+    "oezer": (_write_oezer, str),
+}

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from tdgbench.data.check.alignment import Offset, ViewPair, edge_offset
+from tdgbench.data.check.registration import Offset, ViewPair, edge_offset
 
 FINE = 4  # samples per pixel and side, so that shifts by parts of a pixel are exact
 

@@ -2,14 +2,14 @@ from dataclasses import replace
 
 import pytest
 
-from tdgbench.data.sample import command
+from tdgbench.data import sample
 from tests.helpers.command import tdgbench_here
 
 
 def test_a_sample_is_a_scene_that_is_checked_and_read_as_a_folder(tmp_path, monkeypatch):
-    write = command.write_scene
+    write = sample.write_scene
     small = {"width": 48, "height": 36, "points": 300}
-    monkeypatch.setattr(command, "write_scene", lambda world, out, asked: write(world, out, replace(asked, **small)))
+    monkeypatch.setattr(sample, "write_scene", lambda world, out, asked: write(world, out, replace(asked, **small)))
     run = tdgbench_here(tmp_path, "data", "sample", "roof", "--scene", "night")
     assert run.returncode == 0 and "roof: night, 40 views in the layout of RGBT-Scenes" in run.stdout
     check = tdgbench_here(tmp_path, "data", "check", "roof")

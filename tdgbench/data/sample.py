@@ -1,4 +1,4 @@
-"""`tdgbench data sample DIR`."""
+"""`tdgbench data sample DIR`: a built-in scene as files."""
 
 from __future__ import annotations
 
