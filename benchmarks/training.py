@@ -30,7 +30,6 @@ from tdgbench.training.loop import TrainingLog, train
 PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
     "raster.culling": "project",
     "raster.projection_forward": "project",
-    "raster.sorting": "bin",
     "raster.tiles": "bin",
     "raster.blend": "blend",
     "raster.blend_backward": "blend backward",
@@ -38,7 +37,7 @@ PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
     "adam": "Adam",
     "statistics": "density control",
     "losses.photometric": "losses",
-    "losses.smoothness": "losses",
+    "losses.rows": "losses",
     "losses.minmax": "losses",
 }
 REMAINDER = "Python and torch"

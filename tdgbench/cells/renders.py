@@ -23,11 +23,10 @@ from tdgbench.files import whole_file
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import backend_names, load_backend
-from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.determinacy import Determinacy
 from tdgbench.splats.ply import load_ply
 from tdgbench.splats.render import render_view
-from tdgbench.splats.view import Pinhole, Render
+from tdgbench.splats.view import AS_3DGS, Blending, Pinhole, Render
 from tdgbench.tensors import load_tensors
 from tdgbench.thermal import ImageResponse, read_response
 from tdgbench.training.budget import RULES, Budget

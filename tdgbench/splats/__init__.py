@@ -4,6 +4,6 @@ It depends on no data set, method or configuration.
 """
 
 from tdgbench.splats.gaussians import Gaussians
-from tdgbench.splats.rasterization import rasterization
+from tdgbench.splats.render import rasterization
 
 __all__ = ["Gaussians", "rasterization"]

@@ -10,6 +10,12 @@ from torch import Tensor
 
 from tdgbench.splats.view import GaussianTensors
 
+# Columns of a Gaussian's row of numbers: the layout that training and its gradients share.
+MEANS_AT, QUATS_AT, SCALES_AT, OPACITY_AT, COLORS_AT = 0, 3, 7, 10, 11
+GEOMETRY_SIZES = [3, 4, 3, 1]  # columns of each parameter before the colours
+LINE = 16  # floats of a cache line
+LEAST_COLUMNS = 16  # of rows in training: they fill the widest register
+
 
 @dataclass
 class Gaussians:
@@ -77,3 +83,12 @@ class Gaussians:
     def detach(self) -> Gaussians:
         """Return the Gaussians with detached tensors."""
         return self.map(torch.Tensor.detach)
+
+
+def padded(columns: int) -> int:
+    """Return the number of columns rounded up to whole cache lines, as of rows of gradients.
+
+    >>> padded(COLORS_AT + 4), padded(COLORS_AT + 48)
+    (16, 64)
+    """
+    return -(-columns // LINE) * LINE

@@ -12,10 +12,17 @@ import torch
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 
 from tdgbench.splats.gaussians import Gaussians
-from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients
+from tdgbench.splats.gradients import (
+    BETA1,
+    BETA2,
+    ColumnFactors,
+    Gradients,
+    GradientStatistics,
+    PendingGradients,
+    Tolerance,
+)
 from tdgbench.splats.harmonics import sh_from_color
 from tdgbench.splats.state import TrainingState
-from tdgbench.splats.stepping import BETA1, BETA2, ColumnFactors, Tolerance
 
 BLACK = sh_from_color(torch.tensor(0.001, dtype=torch.float64)).item()  # just not clamped by a render
 

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 import torch
@@ -97,22 +97,11 @@ def load_ply(path: Path, inside: Path | None = None) -> Gaussians:
         raise ValueError(f"{path} is not a 3DGS model: {error}") from error
 
 
-class _Layout(NamedTuple):
-    """Columns of a file's rows."""
+def _layout(names: list[str]) -> dict[str, tuple[list[str], tuple[int, ...]]]:
+    """Return the columns of each field, and the shape of one Gaussian's value. Raises ValueError if one is missing.
 
-    rest: int  # harmonics coefficients per channel beyond the first
-    fields: dict[str, list[str]]  # columns of each field but `sh`
-    shapes: dict[str, tuple[int, ...]]  # of one Gaussian's value of each further field
-
-    @property
-    def sh(self) -> list[str]:
-        """Columns of the harmonics by basis, as in memory; in the file they are channel by channel."""
-        rest = [f"f_rest_{c * self.rest + b}" for b in range(self.rest) for c in range(3)]
-        return [*(f"f_dc_{c}" for c in range(3)), *rest]
-
-
-def _layout(names: list[str]) -> _Layout:
-    """Return the layout of a file with some columns. Raises ValueError if one is missing."""
+    The harmonics are by basis, as in memory; in the file they are channel by channel.
+    """
     rest = sum(name.startswith("f_rest_") for name in names) // 3
     if rest + 1 not in map(num_bases, range(MAX_DEGREE + 1)):
         raise ValueError(f"{rest} f_rest coefficients per channel are no SH degree from 0 to {MAX_DEGREE}")
@@ -120,31 +109,32 @@ def _layout(names: list[str]) -> _Layout:
     if missing:
         raise ValueError(f"it has no {', '.join(sorted(missing))}")
     shapes = _extra_shapes([name for name in names if name not in _columns(rest)])
-    fields = {
-        "means": [*"xyz"],
-        "log_scales": [f"scale_{i}" for i in range(3)],
-        "quats": [f"rot_{i}" for i in range(4)],
-        "opacity_logits": ["opacity"],
-        **{name: [_column(name, at) for at in np.ndindex(*shape)] for name, shape in shapes.items()},
+    sh = [*(f"f_dc_{c}" for c in range(3)), *(f"f_rest_{c * rest + b}" for b in range(rest) for c in range(3))]
+    return {
+        "means": ([*"xyz"], (3,)),
+        "log_scales": ([f"scale_{i}" for i in range(3)], (3,)),
+        "quats": ([f"rot_{i}" for i in range(4)], (4,)),
+        "opacity_logits": (["opacity"], ()),
+        "sh": (sh, (rest + 1, 3)),
+        **{name: ([_column(name, at) for at in np.ndindex(*shape)], shape) for name, shape in shapes.items()},
     }
-    return _Layout(rest, fields, shapes)
 
 
 def _read(file: BinaryIO, vertex: PlyElement) -> Gaussians:
     """Read the rows of a model. Raises ValueError as `load_ply`."""
     layout = _layout([p.name for p in vertex.properties])
-    read = {name: torch.empty(len(vertex), len(columns)) for name, columns in layout.fields.items()}
-    sh = torch.empty(len(vertex), layout.rest + 1, 1 if len(vertex) else 3)
+    read = {name: torch.empty(len(vertex), *shape) for name, (_, shape) in layout.items()}
+    if len(vertex):
+        read["sh"] = torch.empty(len(vertex), len(layout["sh"][0]) // 3, 1)  # gray until a row has colour
     for start, rows in _pieces(file, vertex.data):
         here = slice(start, start + len(rows))
-        for name, columns in layout.fields.items():
-            read[name][here] = _finite(rows, columns, start)
-        colors = _finite(rows, layout.sh, start).unflatten(1, (layout.rest + 1, 3))
-        if sh.shape[2] == 1 and not bool((colors == colors[..., :1]).all()):
-            sh = sh.repeat(1, 1, 3)
-        sh[here] = colors[..., : sh.shape[2]]
-    extra = {name: read.pop(name).unflatten(1, shape) for name, shape in layout.shapes.items()}
-    return Gaussians(**{**read, "opacity_logits": read["opacity_logits"].squeeze(1)}, sh=sh, extra_fields=extra)
+        for name, (columns, shape) in layout.items():
+            values = _finite(rows, columns, start).reshape(-1, *shape)
+            if name == "sh" and read[name].shape[2] == 1 and bool((values != values[..., :1]).any()):
+                read[name] = read[name].repeat(1, 1, 3)
+            read[name][here] = values[..., : read[name].shape[2]] if name == "sh" else values
+    parameters = {name: read.pop(name) for name in Gaussians.names()}
+    return Gaussians(**parameters, extra_fields=read)
 
 
 def _pieces(file: BinaryIO, data: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:

@@ -11,12 +11,10 @@ from torch import Tensor
 
 from tdgbench.splats.backends import backend_for
 from tdgbench.splats.backends.backend import Backend
-from tdgbench.splats.columns import COLORS_AT, GEOMETRY_SIZES, LEAST_COLUMNS, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
-from tdgbench.splats.gaussians import Gaussians
-from tdgbench.splats.stepping import RowArrays
+from tdgbench.splats.gaussians import LEAST_COLUMNS, MEANS_AT, SCALES_AT, Gaussians
+from tdgbench.splats.gradients import RowArrays
 
 MEANS, SCALES = slice(MEANS_AT, MEANS_AT + 3), slice(SCALES_AT, SCALES_AT + 3)
-QUATS = slice(QUATS_AT, QUATS_AT + 4)
 REORDER_AT = 1.25  # times as many Gaussians as when they were last ordered in space
 AXIS_BITS = 21
 CHUNK_ROWS = 100_000  # converted to double precision at once
@@ -33,14 +31,13 @@ class TrainingState:
 
     def __init__(self, gaussians: Gaussians, backend: Backend | None = None) -> None:
         """backend: owner of memory, steps and statistics; by default the fast one for the tensors (`backend_for`)."""
-        count, self.bases, self.channels = len(gaussians), *gaussians.sh.shape[1:]
-        self._extra = _columns_after(COLORS_AT + self.bases * self.channels, gaussians.extra_fields)
-        self.columns = max([COLORS_AT + self.bases * self.channels, *(at.stop for at, _ in self._extra.values())])
-        self.count = count
+        self.count, self.channels = len(gaussians), gaussians.channels
+        self._places = _places_of(gaussians)
+        self.columns = max(at.stop for at, _ in self._places.values())
         self._arrays: RowArrays | None = None  # of the current rows
         like = gaussians.means.detach()
         self.backend = backend or backend_for(like)
-        shape = (max(count, 1), max(self.columns, LEAST_COLUMNS))
+        shape = (max(self.count, 1), max(self.columns, LEAST_COLUMNS))
         self._values, self._first, self._second = (self.backend.new_rows(like, shape, zeros=True) for _ in range(3))
         self._clocks = torch.zeros(shape[0], 2, dtype=torch.int32, device=like.device)
         self.now = 0  # steps of the optimiser so far
@@ -88,20 +85,13 @@ class TrainingState:
 
     def split(self, rows: Tensor) -> Gaussians:
         """Return rows (n, columns) as Gaussians; they share memory and gradients."""
-        sizes = [*GEOMETRY_SIZES, self.bases * self.channels, *(math.prod(shape) for _, shape in self._extra.values())]
+        sizes = [at.stop - at.start for at, _ in self._places.values()]
         # One split for all: its backward pass is one concatenation, where each slice's would fill all columns.
-        means, quats, log_scales, opacity, sh, *extra, _ = rows.split([*sizes, rows.shape[1] - sum(sizes)], dim=1)
-        return Gaussians(
-            means=means,
-            log_scales=log_scales,
-            quats=quats,
-            opacity_logits=opacity.squeeze(1),
-            sh=sh.unflatten(1, (self.bases, self.channels)),
-            extra_fields={
-                name: columns.unflatten(1, shape)
-                for (name, (_, shape)), columns in zip(self._extra.items(), extra, strict=True)
-            },
-        )
+        parts = rows.split([*sizes, rows.shape[1] - sum(sizes)], dim=1)
+        fields = {name: part.unflatten(1, at[1]) for (name, at), part in zip(self._places.items(), parts, strict=False)}
+        parameters = {name: fields.pop(name) for name in Gaussians.names()}
+        parameters["opacity_logits"] = parameters["opacity_logits"].squeeze(1)
+        return Gaussians(**parameters, extra_fields=fields)
 
     def rows_of(self, gaussians: Gaussians) -> Tensor:
         """Convert Gaussians to new rows (n, columns)."""
@@ -116,18 +106,11 @@ class TrainingState:
 
     def columns_of(self, name: str) -> slice:
         """Return the columns of a parameter."""
-        return {
-            "means": MEANS,
-            "log_scales": SCALES,
-            "quats": QUATS,
-            "opacity_logits": slice(OPACITY_AT, OPACITY_AT + 1),
-            "sh": slice(COLORS_AT, COLORS_AT + self.bases * self.channels),
-            **{field: at for field, (at, _) in self._extra.items()},
-        }[name]
+        return self._places[name][0]
 
     def channels_of(self, name: str) -> int:
         """Return the length of the last axis of a field: the channels of a colour set."""
-        return self.channels if name == "sh" else self._extra[name][1][-1]
+        return self._places[name][1][-1]
 
     def replace_rows(self, removed: Tensor, added: Tensor) -> None:
         """Remove the rows at `removed` (n,), ascending, and add rows (m, columns) with zero moments.
@@ -154,16 +137,10 @@ class TrainingState:
         self.count, self._arrays = end, None
         self._clocks[:end] = self.now
         if self.count > REORDER_AT * self._ordered_at:
-            self.order_in_space()
-
-    def order_in_space(self) -> None:
-        """Sort rows along a Z-order curve, so that the Gaussians of a view are close in memory.
-
-        All rows must be current.
-        """
-        self._order_in_space(self._values, self._bounds, self._first, self._second)
+            self._order_in_space(self._values, self._bounds, self._first, self._second)
 
     def _order_in_space(self, *arrays: Tensor) -> None:
+        """Sort rows along a Z-order curve, so that the Gaussians of a view are close in memory; all must be current."""
         order = _z_order(self.values[:, MEANS])
         for array in arrays:
             for some in array.split(COLUMNS_AT_ONCE, dim=1):  # a copy of all would double the memory
@@ -209,10 +186,11 @@ class TrainingState:
             self.backend.free_memory()  # C's allocator may hold the old array: it is not always a mapping of its own
 
 
-def _columns_after(first: int, extra_fields: dict[str, Tensor]) -> dict[str, tuple[slice, tuple[int, ...]]]:
-    """Return the columns of each of `extra_fields`, which begin at `first`, and the shape of one Gaussian's value."""
-    found: dict[str, tuple[slice, tuple[int, ...]]] = {}
-    for name, tensor in extra_fields.items():
+def _places_of(gaussians: Gaussians) -> dict[str, tuple[slice, tuple[int, ...]]]:
+    """Return the columns of each field, and the shape of one Gaussian's value, in the order of the columns."""
+    first, found = 0, dict[str, tuple[slice, tuple[int, ...]]]()
+    names = ("means", "quats", "log_scales", "opacity_logits", "sh")
+    for name, tensor in ({name: getattr(gaussians, name) for name in names} | gaussians.extra_fields).items():
         shape = tuple(tensor.shape[1:]) or (1,)
         found[name] = slice(first, first + math.prod(shape)), shape
         first += math.prod(shape)

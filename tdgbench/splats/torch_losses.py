@@ -8,11 +8,12 @@ from __future__ import annotations
 import weakref
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from tdgbench.splats.cpu.losses.ssim import C1, C2, WINDOW, window
-
+WINDOW, SIGMA = 11, 1.5  # px: side and standard deviation of the Gaussian window of SSIM (Wang et al. 2004)
+C1, C2 = 0.01**2, 0.03**2  # of SSIM, for images in [0, 1]
 MIN_RANGE = 1e-8  # of a map that min-max normalisation stretches
 
 
@@ -34,6 +35,17 @@ def l1_and_dssim(image: Tensor, target: Tensor, weights: LossWeights, valid: Ten
     count = valid.sum() * image.shape[2]
     similarity = without_masked(ssim_map(image, target), valid).sum() / count
     return weights.l1 * (image - target).abs().sum() / count + weights.dssim * (1 - similarity)
+
+
+def window() -> np.ndarray:
+    """Return weights float64 (11,) of the separable window.
+
+    >>> window().round(3)[:6]
+    array([0.001, 0.008, 0.036, 0.109, 0.213, 0.266])
+    """
+    offsets = np.arange(WINDOW) - WINDOW // 2
+    weights = np.exp(-(offsets**2) / (2 * SIGMA**2))
+    return weights / weights.sum()
 
 
 def ssim_map(image: Tensor, target: Tensor) -> Tensor:

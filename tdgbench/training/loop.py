@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tdgbench.splats.cpu.losses.fused_losses import keep_prepared
+from tdgbench.splats.cpu.losses.photometric import keep_prepared
 from tdgbench.splats.transfer import start_copy_to_host
 from tdgbench.training.method import Step
 from tdgbench.training.part import NonFiniteError, Part, Stopping, TrainingError

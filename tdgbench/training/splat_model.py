@@ -11,14 +11,13 @@ import torch
 from tdgbench.scenes import Camera
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends.backend import Hook, StateOptions
-from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu.scratch import free_buffers
 from tdgbench.splats.density import TrainingView
 from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
-from tdgbench.splats.view import Pinhole, Render
+from tdgbench.splats.view import AS_3DGS, Blending, Pinhole, Render
 from tdgbench.training.budget import Budget
 from tdgbench.training.part import EmptyModelError, Part, Report, State
 from tdgbench.training.rig import Rig

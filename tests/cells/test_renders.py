@@ -7,7 +7,7 @@ from tdgbench.bench.scores import render_images, render_views, write_renders
 from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.record import Record
 from tdgbench.cells.renders import blending_of, render_model
-from tdgbench.splats.blending import AS_3DGS
+from tdgbench.splats.view import AS_3DGS
 from tests.helpers.records import record
 from tests.helpers.training import ready_to_train
 

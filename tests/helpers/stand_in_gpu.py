@@ -132,7 +132,7 @@ def install(costs: Costs) -> None:
 
     from tdgbench.splats import backends
     from tdgbench.splats.backends.warp import WarpBackend
-    from tdgbench.splats.warp import adam, arrays, losses, passes, statistics
+    from tdgbench.splats.warp import arrays, losses, passes, training
 
     def pin(tensor: torch.Tensor) -> torch.Tensor:
         costs.pinned.add(tensor.data_ptr())
@@ -157,7 +157,7 @@ def install(costs: Costs) -> None:
     torch.cuda.current_stream = lambda device=None: None  # type: ignore[assignment, return-value]
     wp.launch, wp.launch_tiled = counted(launch), counted(launch_tiled)
     wp.utils.array_scan, wp.utils.radix_sort_pairs = map(counted, (wp.utils.array_scan, wp.utils.radix_sort_pairs))
-    for module in (arrays, passes, adam, losses, statistics):
+    for module in (arrays, passes, training, losses):
         module.array, module.on_stream = array, lambda device: nullcontext()
     backends.FAST[NAME] = ("warp",)
     os.environ["TDGBENCH_WARP_LANES"] = "1"

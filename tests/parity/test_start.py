@@ -8,9 +8,9 @@ import torch
 from hydra.utils import instantiate
 
 from tdgbench.scenes import Camera, Scene, View
+from tdgbench.splats.gradients import BETA1, BETA2, EPS
 from tdgbench.splats.harmonics import colors_from_sh, num_bases, sh_basis, sh_from_color
 from tdgbench.splats.initialize import gaussians_from_points
-from tdgbench.splats.stepping import BETA1, BETA2, EPS
 from tests.helpers.configs import config
 from tests.parity.originals import original, relative
 

@@ -5,7 +5,7 @@ import torch
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.backends import backend, load_backend, reference
-from tdgbench.splats.blending import AS_3DGS
+from tdgbench.splats.view import AS_3DGS
 from tests.helpers.gaussians import random_gaussians, turned_camera
 from tests.helpers.training import ready_to_train, train
 from tests.splats.backward_passes import COUNT, HEIGHT, WIDTH, backward_pass, cloud

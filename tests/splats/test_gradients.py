@@ -62,12 +62,6 @@ def test_what_is_known_before_the_gradients():
     assert rows.projected is pending.projected and rows.radii is pending.radii and rows.touched > 0
 
 
-def test_without_a_watch_nothing_is_observed():
-    done = backward_pass(cloud(1, 1), "cpu", 1)
-    done.optimizer.step(done.gradients, 1)
-    assert done.gradients.touched > 0 and done.state.first.any()
-
-
 @pytest.mark.parametrize("name", ["opacity_logits", "sh"])
 def test_a_gradient_that_is_not_finite_is_named(name):
     """The sum of opacity's moments, or of a channel's, is infinite."""

@@ -5,7 +5,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from tdgbench.splats.geometry import multiply_quaternions, quaternion_of_rotation
-from tdgbench.splats.rasterization import rasterization
+from tdgbench.splats.render import rasterization
 
 WIDTH, HEIGHT = 40, 32
 STEP = 1e-7  # so small that no pixel leaves a Gaussian's footprint

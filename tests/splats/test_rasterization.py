@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.backends import backend_names, load_backend
-from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.cpu import jit, pool
+from tdgbench.splats.view import AS_3DGS, Blending
 from tests.helpers.gaussians import random_gaussians, turned_camera
 from tests.helpers.paths import ROOT
 

@@ -37,15 +37,6 @@ def test_rows_may_be_read_a_line_beyond_their_end(zeros):
     assert not zeros or not rows.any()
 
 
-def test_parts_share_memory():
-    state = state_of(5)
-    state.split(state.values).opacity_logits[2] = 7.0
-    assert state.values[2, state.columns_of("opacity_logits")] == 7.0
-    names = [name for name, _ in state.split(state.values).items()]
-    covered = [c for name in names for c in range(*state.columns_of(name).indices(99))]
-    assert sorted(covered) == list(range(state.columns))
-
-
 @pytest.mark.parametrize(("removed", "added"), [(0, 3), (2, 2), (2, 5), (4, 1), (6, 0), (0, 0), (3, 40)])
 def test_exchange(removed, added):
     state = state_of(6)

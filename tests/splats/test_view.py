@@ -2,7 +2,7 @@ import numpy as np
 import torch
 
 from tdgbench.scenes import Camera
-from tdgbench.splats.view import EPS2D, FAR_PLANE, NEAR_PLANE, Pinhole, Projection, Render
+from tdgbench.splats.view import EPS2D, FAR_PLANE, NEAR_PLANE, Pinhole
 
 
 def test_a_camera_keeps_its_precision_until_it_is_converted():
@@ -12,14 +12,3 @@ def test_a_camera_keeps_its_precision_until_it_is_converted():
     assert pinhole[2:] == (40, 30, NEAR_PLANE, FAR_PLANE, EPS2D)
     single = pinhole.to(torch.zeros(1))
     assert single.K.dtype == single.viewmat.dtype == torch.float32 and single[2:] == pinhole[2:]
-
-
-def test_a_render_on_the_cpu_is_its_image_depth_and_transmittance():
-    image, transmittance = torch.rand(4, 5, 3), torch.rand(4, 5)
-    projection = Projection(torch.zeros(2, 2), torch.zeros(2, dtype=torch.int32), torch.zeros(2))
-    render = Render(image, None, transmittance, projection)
-    copied = render.cpu()
-    assert torch.equal(render.alpha, 1 - transmittance) and torch.equal(copied.image, image)
-    assert copied.depth is None and torch.equal(copied.transmittance, transmittance) and copied.projection is None
-    deep = Render(image, transmittance * 2, transmittance).cpu()
-    assert torch.equal(deep.depth, transmittance * 2)

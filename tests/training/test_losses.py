@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.losses import fused_losses
-from tdgbench.splats.cpu.losses.fused_losses import PreparedTargets
+from tdgbench.splats.cpu.losses import photometric as fused
+from tdgbench.splats.cpu.losses.photometric import PreparedTargets
 from tdgbench.splats.torch_losses import ValidPixels, ssim_map
 from tdgbench.training.losses import (
     inverse_expected_depth,
@@ -186,8 +186,8 @@ def test_a_masked_loss_does_not_depend_on_the_threads():
 
 
 def test_an_image_is_prepared_once(monkeypatch):
-    calls, prepare = [], fused_losses.prepare_target
-    monkeypatch.setattr(fused_losses, "prepare_target", lambda *args: calls.append(1) or prepare(*args))
+    calls, prepare = [], fused.prepare_target
+    monkeypatch.setattr(fused, "prepare_target", lambda *args: calls.append(1) or prepare(*args))
     kept, image, mask = PreparedTargets(), torch.rand(20, 20, 1), torch.rand(20, 20) > 0.3
     assert kept.of(image, None) is kept.of(image, None) and len(calls) == 1
     masked = kept.of(image, mask)

@@ -15,8 +15,7 @@ from torch import Tensor
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.backends import load_backend
-from tdgbench.splats.blending import AS_3DGS, Blending
-from tdgbench.splats.view import NEAR_PLANE
+from tdgbench.splats.view import AS_3DGS, NEAR_PLANE, Blending
 
 NAMES = ("means", "quats", "scales", "opacities", "colors")
 IMAGE_TOLERANCE, GRADIENT_TOLERANCE = 5e-5, 2e-4  # of a float32 backend's errors

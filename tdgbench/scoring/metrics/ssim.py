@@ -7,7 +7,7 @@ from scipy.ndimage import correlate1d, minimum_filter
 
 from tdgbench.scoring.metric import ImageMetric
 from tdgbench.scoring.scored_view import Border, NotApplicableError
-from tdgbench.splats.cpu.losses.ssim import C1, C2, WINDOW, window
+from tdgbench.splats.torch_losses import C1, C2, WINDOW, window
 
 
 def ssim(image: np.ndarray, target: np.ndarray, border: Border, valid: np.ndarray | None = None) -> float:

@@ -12,13 +12,11 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats import torch_losses
-from tdgbench.splats.blending import AS_3DGS, Blending
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.geometry import with_pose_gradient
-from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients
-from tdgbench.splats.stepping import Rows, RowSteps, Tolerance
+from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients, Rows, RowSteps, Tolerance
 from tdgbench.splats.torch_losses import LossWeights
-from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
+from tdgbench.splats.view import AS_3DGS, Blending, GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
 Collect = Callable[[Gradients | PendingGradients], None]
 Hook = Callable[[Gaussians, int], GaussianTensors]  # arguments: the Gaussians and the SH degree in use

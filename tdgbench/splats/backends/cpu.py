@@ -11,17 +11,24 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend, Collect, StateOptions, SumFootprints
-from tdgbench.splats.columns import COLORS_AT, GEOMETRY_SIZES, padded
 from tdgbench.splats.cpu import statistics
-from tdgbench.splats.cpu.deferred_steps import DeferredSteps
-from tdgbench.splats.cpu.losses import fused_losses
+from tdgbench.splats.cpu.adam import DeferredSteps
+from tdgbench.splats.cpu.losses import minmax
+from tdgbench.splats.cpu.losses.photometric import image_loss
 from tdgbench.splats.cpu.precompile import compiled_alongside
 from tdgbench.splats.cpu.raster.passes import blend_backward, forward
-from tdgbench.splats.cpu.raster.source import Span, source_of_arrays, source_of_rows
-from tdgbench.splats.cpu.raster.types import Channels, Settings, pack_camera, pack_limits
+from tdgbench.splats.cpu.raster.types import (
+    Channels,
+    Settings,
+    Span,
+    pack_camera,
+    pack_limits,
+    source_of_arrays,
+    source_of_rows,
+)
 from tdgbench.splats.cpu.scratch import empty_rows, free_buffers
-from tdgbench.splats.gradients import Gradients, GradientStatistics
-from tdgbench.splats.stepping import Rows, RowSteps, Tolerance
+from tdgbench.splats.gaussians import COLORS_AT, GEOMETRY_SIZES, padded
+from tdgbench.splats.gradients import Gradients, GradientStatistics, Rows, RowSteps, Tolerance
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
 MAX_CHANNELS = 4
@@ -38,10 +45,9 @@ def _tensors(arrays) -> list[Tensor]:
     return [torch.from_numpy(array) for array in arrays]
 
 
-def _spread(
-    rows: np.ndarray, gaussian_ids: np.ndarray, spans: list[Span], count: int, columns: int | None = None
-) -> Tensor:
+def _spread(rows, gaussian_ids, spans: list[Span], count: int, columns: int | None = None) -> Tensor:
     """Return (count, columns) with the rows of spans (first, count) at their Gaussians, and 0 elsewhere."""
+    rows, gaussian_ids = np.asarray(rows), np.asarray(gaussian_ids)
     out = np.zeros((count, columns or rows.shape[1]), rows.dtype)
     for first, length in spans:
         out[:, : rows.shape[1]][gaussian_ids[first : first + length]] = rows[first : first + length]
@@ -70,12 +76,11 @@ class Rasterize(torch.autograd.Function):
     @staticmethod
     def backward(ctx, grad_color, grad_depth, grad_transmittance, _grad_radii):
         source, settings, view, color_shape, absgrad = ctx.saved
-        rows = blend_backward(source, settings, view, *_arrays((grad_color, grad_depth, grad_transmittance))).rows()
-        ids, values, image = rows.arrays
-        columns = [*GEOMETRY_SIZES, math.prod(color_shape[1:])]
-        dense = _spread(values, ids, rows.spans, source.count, padded(sum(columns)))[:, : sum(columns)]
+        found = blend_backward(source, settings, view, *_arrays((grad_color, grad_depth, grad_transmittance))).compute()
+        at, columns = (found.index, found.spans, source.count), [*GEOMETRY_SIZES, math.prod(color_shape[1:])]
+        dense = _spread(found.values, *at, padded(sum(columns)))[:, : sum(columns)]
         means, quats, scales, opacities, colors = dense.split(columns, dim=1)
-        image = _spread(image, ids, rows.spans, source.count)
+        image = _spread(found.image, *at)
         if absgrad is not None:
             absgrad += image[:, 3:]
         return means, quats, scales, opacities.squeeze(1), colors.reshape(color_shape), image[:, :2], None, None
@@ -129,21 +134,18 @@ class CpuBackend(Backend):
         if channels > MAX_CHANNELS:
             return super().footprint_sums(gaussians, channels)
         count = len(gaussians.means)
-        arrays = [tensor.detach().contiguous().numpy() for tensor in gaussians[:4]]
-        source = source_of_arrays([*arrays, np.zeros((count, channels), np.float32)])
+        source = source_of_arrays(
+            [*(t.detach().contiguous().numpy() for t in gaussians[:4]), np.zeros((count, channels), np.float32)]
+        )
 
         def sums(camera: Pinhole, maps: Tensor) -> tuple[Tensor, Tensor]:
             if maps.shape != (camera.height, camera.width, channels):
                 raise ValueError(f"maps of {channels} channels were announced; these are {tuple(maps.shape)}")
             settings = _settings(camera, channels, -1, RenderOptions())
             view = forward(source, settings)
-            rows = blend_backward(source, settings, view, *_arrays((maps, None, None))).rows()
-            ids, values, _ = rows.arrays
-            seen, radii, _ = view.projected
-            return (
-                _spread(values[:, COLORS_AT : COLORS_AT + channels], ids, rows.spans, count),
-                _spread(radii[:, None], seen, view.projected_spans, count).squeeze(1),
-            )
+            found = blend_backward(source, settings, view, *_arrays((maps, None, None))).compute()
+            colors = found.values[:, COLORS_AT : COLORS_AT + channels]
+            return _spread(colors, found.index, found.spans, count), found.all_radii(count)
 
         return sums
 
@@ -173,9 +175,9 @@ class CpuBackend(Backend):
 
     free_memory = staticmethod(free_buffers)
     observe_visible = staticmethod(statistics.observe_visible)
-    image_loss = staticmethod(fused_losses.image_loss)
-    min_max = staticmethod(fused_losses.min_max)
-    inverse_expected_depth = staticmethod(fused_losses.inverse_expected_depth)
+    image_loss = staticmethod(image_loss)
+    min_max = staticmethod(minmax.min_max)
+    inverse_expected_depth = staticmethod(minmax.inverse_expected_depth)
 
 
 def _passes(channels: int, options: RenderOptions) -> Iterator[tuple[slice, RenderOptions]]:
@@ -200,16 +202,12 @@ def _settings(camera: Pinhole, channels: int, degree: int, options: RenderOption
     if max(camera.width, camera.height) > MAX_SIDE:
         asked = f"{camera.width}×{camera.height}"
         raise ValueError(f"backend cpu renders up to {MAX_SIDE} px a side; {asked} was requested")
-    background = options.background
-    black = np.zeros(channels, np.float32)
-    return Settings(
-        camera=pack_camera(camera.viewmat.detach().numpy(), camera.K.detach().numpy(), *camera[2:]),
-        width=camera.width,
-        height=camera.height,
-        channels=Channels(channels, degree, options.depth, options.absgrad),
-        background=black if background is None else background.detach().contiguous().numpy(),
-        limits=pack_limits(options.blending),
-    )
+    packed = pack_camera(camera.viewmat.detach().numpy(), camera.K.detach().numpy(), *camera[2:])
+    blended = Channels(channels, degree, options.depth, options.absgrad)
+    (background,) = _arrays([options.background])
+    if background is None:
+        background = np.zeros(channels, np.float32)
+    return Settings(packed, camera.width, camera.height, blended, background, pack_limits(options.blending))
 
 
 BACKEND = CpuBackend()

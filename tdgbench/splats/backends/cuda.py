@@ -21,8 +21,7 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend
-from tdgbench.splats.blending import AS_3DGS, Blending
-from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
+from tdgbench.splats.view import AS_3DGS, Blending, GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
 SH_CHANNELS = 3
 MAX_ALPHA_BEFORE_1_6 = 0.999

@@ -12,9 +12,8 @@ import torch
 from torch import Tensor
 
 from tdgbench.splats.backends.backend import Backend
-from tdgbench.splats.blending import Blending
 from tdgbench.splats.geometry import project, screen_radii, seen_colors
-from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
+from tdgbench.splats.view import Blending, GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
 PAIRS_AT_ONCE = 4_000_000  # pixel-Gaussian pairs in memory
 

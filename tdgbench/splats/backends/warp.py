@@ -5,16 +5,17 @@ Sums have a fixed order: the same input gives the same bytes on the same device.
 
 from __future__ import annotations
 
+import importlib.util
+from functools import cache
+
 import torch
 from torch import Tensor
 
 from tdgbench.splats import torch_losses
 from tdgbench.splats.backends.backend import Backend
-from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients
-from tdgbench.splats.stepping import Rows, RowSteps
+from tdgbench.splats.gradients import Gradients, GradientStatistics, PendingGradients, Rows, RowSteps
 from tdgbench.splats.torch_losses import LossWeights
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
-from tdgbench.splats.warp import import_problem
 
 
 class WarpBackend(Backend):
@@ -53,19 +54,19 @@ class WarpBackend(Backend):
         return Render(image, depth, transmittance, Projection(probe, radii, depths, absgrad))
 
     def steps_of(self, state: Rows) -> RowSteps:
-        from tdgbench.splats.warp.adam import WarpSteps
+        from tdgbench.splats.warp.training import WarpSteps
 
         return WarpSteps(state)
 
     def observe_visible(self, view: Gradients | PendingGradients, view_counts: Tensor, max_radii: Tensor) -> None:
-        from tdgbench.splats.warp import statistics
+        from tdgbench.splats.warp import training
 
-        statistics.observe_visible(view.compute(), view_counts, max_radii)
+        training.observe_visible(view.compute(), view_counts, max_radii)
 
     def observe_gradients(self, gradients: Gradients, sums: GradientStatistics) -> None:
-        from tdgbench.splats.warp import statistics
+        from tdgbench.splats.warp import training
 
-        statistics.observe_gradients(gradients, sums)
+        training.observe_gradients(gradients, sums)
 
     def l1_and_dssim(self, image: Tensor, target: Tensor, weights: LossWeights, valid: Tensor | None) -> Tensor:
         from tdgbench.splats.warp.losses import L1AndDssim
@@ -75,6 +76,25 @@ class WarpBackend(Backend):
             image, target = (torch_losses.without_masked(t, valid) for t in (image, target))
             of_pixels = valid.to(image.dtype)
         return L1AndDssim.apply(image, target, of_pixels, weights[:2], count)
+
+
+@cache
+def import_problem(on_gpu: bool) -> str | None:
+    """Return why Warp cannot be imported, or does not run on the GPU that torch found; None if it can be used."""
+    if importlib.util.find_spec("warp") is None:
+        return "warp-lang is not installed: pip install -e '.[warp]'"
+    try:
+        import warp
+
+        import tdgbench.splats.warp.arrays  # noqa: F401, sets Warp up
+    except Exception as error:  # of another package of this name, too
+        return f"warp-lang cannot be imported ({type(error).__name__}: {(str(error).splitlines() or [''])[0]})"
+    if on_gpu and not warp.is_cuda_available():
+        return (
+            f"the NVIDIA driver is too old for warp-lang {warp.__version__}: its wheel on PyPI is built for CUDA "
+            "13 and needs driver 580 or newer; update the driver, or install NVIDIA's wheel for CUDA 12"
+        )
+    return None
 
 
 BACKEND = WarpBackend()

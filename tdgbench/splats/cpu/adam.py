@@ -9,18 +9,40 @@ underflows in float32, v is 0 and m is not.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
-from tdgbench.splats.columns import SCALES_AT
+from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import load_anywhere, prefetch_columns, prefetch_row, store_anywhere
 from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, is_finite, select, square_root
+from tdgbench.splats.cpu.statistics import StatisticsArrays, observe_gradients
+from tdgbench.splats.gaussians import LEAST_COLUMNS, SCALES_AT
+from tdgbench.splats.gradients import (
+    BETA1,
+    BETA2,
+    EPS,
+    BadColumns,
+    ColumnFactors,
+    Gradients,
+    GradientStatistics,
+    PendingGradients,
+    Rows,
+    RowSteps,
+)
 
 F, U = np.float32, np.uint64
 PREFETCH_DISTANCE = 6  # rows
+RHO = BETA1 / math.sqrt(BETA2)
+FLUSH_EVERY = 128  # steps
+# |m| / √v ≤ (1 − β1) / √(1 − β2) · √(Σ (β1² / β2)^j) by Cauchy and Schwarz: no step is longer than 7.3 rates.
+MAX_SPEED = (1 - BETA1) / math.sqrt((1 - BETA2) * (1 - BETA1**2 / BETA2))
+UPDATE_CONSTANTS = tuple(np.float32(c) for c in (1 - BETA1, 1 - BETA2, EPS))
+STEPS_EACH = 8192  # rows that are worth a thread
 
 
 class StepRows(NamedTuple):
@@ -63,9 +85,12 @@ class Stale(NamedTuple):
     flushed: int  # step up to which all rows are current
 
 
-class Update(NamedTuple):
-    """Constants of one step."""
+class AdamStep(NamedTuple):
+    """One step; `deferred` ends with the step before."""
 
+    rows: StepRows
+    deferred: Deferred
+    decay: Decay
     step_sizes: np.ndarray  # float32 (stride,): rate / (1 − β1^t) of each column
     per_bias2: np.ndarray  # float32 (stride,): 1 / √(1 − β2^t) of each column
     rest1: np.float32  # 1 − β1
@@ -73,23 +98,13 @@ class Update(NamedTuple):
     eps: np.float32
 
 
-class AdamStep(NamedTuple):
-    """One step; `deferred` ends with the step before."""
-
-    rows: StepRows
-    deferred: Deferred
-    decay: Decay
-    update: Update
-
-
 def _nothing() -> tuple[Stale, AdamStep]:
     """No row and no step, in the types of some: kernels are compiled once for both."""
     floats = np.zeros(0, np.float32)
     rows = StepRows(floats, floats, floats, np.zeros((0, 4), np.float32), np.zeros((0, 2), np.int32), 0, 0)
     deferred = Deferred(0, floats, floats, F(0))
-    return Stale(rows, deferred, 0), AdamStep(
-        rows, deferred, Decay(floats, floats), Update(floats, floats, F(0), F(0), F(0))
-    )
+    step = AdamStep(rows, deferred, Decay(floats, floats), floats, floats, F(0), F(0), F(0))
+    return Stale(rows, deferred, 0), step
 
 
 NO_STALE, NO_STEP = _nothing()
@@ -100,6 +115,101 @@ def new_flags(spans: int, step: AdamStep) -> np.ndarray:
     flags = empty_aligned((spans, step.rows.stride), np.float32)
     flags[:] = 0
     return flags
+
+
+class DeferredSteps(RowSteps):
+    """Steps of float32 rows. Call `flush` before reading the rows."""
+
+    most_deferred = MAX_SPEED * RHO / (1 - RHO)
+    longest_deferral = FLUSH_EVERY
+
+    def __init__(self, state: Rows) -> None:
+        super().__init__(state)
+        self._flushed = 0  # step of the last flush
+        self._used = 0  # columns that ever had a gradient
+        width = state.values.shape[1]
+        self._update_columns = empty_aligned((2, width), np.float32)
+        self._coefficients = torch.zeros(FLUSH_EVERY, width).numpy()  # by step: rate √(1 − β2^t) / (1 − β1^t)
+        self._displacements = torch.zeros((FLUSH_EVERY + 1) * width).numpy()
+        exponents = np.arange(FLUSH_EVERY + 2, dtype=np.float64)
+        self._decay = Decay(*((beta**exponents).astype(np.float32) for beta in (BETA1, BETA2)))
+        self._rho_powers = (RHO**exponents).astype(np.float32)
+
+    def take(
+        self,
+        gradients: Gradients | PendingGradients,
+        factors: ColumnFactors,
+        statistics: GradientStatistics | None = None,
+    ) -> BadColumns:
+        state, (rates, bias1, bias2) = self.state, factors
+        columns = max(LEAST_COLUMNS, min(gradients.columns, state.values.shape[1]))
+        self._used = max(self._used, columns)
+        roots = np.sqrt(bias2)
+        step_sizes, per_bias2 = self._update_columns
+        np.divide(rates, bias1, out=step_sizes, casting="same_kind")
+        np.divide(1, roots, out=per_bias2, casting="same_kind")
+        self._coefficients[state.now % FLUSH_EVERY] = rates * roots / bias1
+        rows, deferred = self._rows(columns), self._deferred(state.now - 1)
+        step = AdamStep(rows, deferred, self._decay, step_sizes, per_bias2, *UPDATE_CONSTANTS)
+        observed = StatisticsArrays.of(statistics)
+        bad = _step(gradients, step, observed) if isinstance(gradients, Gradients) else gradients.step(step, observed)
+        since = state.now - self._flushed
+        sum_displacements(since, state.now, self._coefficients, np.float32(RHO), self._displacements)
+        if since >= FLUSH_EVERY - 1:
+            self.flush()
+        return bad if bad.any() else None
+
+    def stale(self) -> Stale:
+        """Return all rows with their deferred steps, which a kernel applies to a row before it reads the row."""
+        return Stale(self._rows(self._used), self._deferred(self.state.now), self._flushed)
+
+    def flush(self) -> None:
+        if self.state.now == self._flushed:
+            return
+        common = (self._rows(self._used), self._deferred(self.state.now), self._decay)
+        pool.run(flush_rows, [(*part, *common) for part in pool.chunks(len(self.state.values), pool.get_threads())])
+        self._flushed = self.state.now
+
+    def state_dict(self) -> dict[str, Any]:
+        return {
+            "flushed": self._flushed,
+            "used": self._used,
+            "coefficients": torch.from_numpy(self._coefficients),
+            "displacements": torch.from_numpy(self._displacements),
+        }
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        self._flushed, self._used = saved["flushed"], saved["used"]
+        self._coefficients[:] = saved["coefficients"].numpy()
+        self._displacements[:] = saved["displacements"].numpy()
+
+    def _rows(self, columns: int) -> StepRows:
+        """Return the state's memory, as the kernels take it."""
+        values, first, second, bounds, clocks = self.state.arrays()
+        flat = (values.reshape(-1), first.reshape(-1), second.reshape(-1))
+        return StepRows(*flat, bounds, clocks, values.shape[1], columns)
+
+    def _deferred(self, last: int) -> Deferred:
+        """Return constants of the deferred steps up to step `last`."""
+        eps = np.float32(EPS * math.sqrt(1 - BETA2 ** max(self.state.now, 1)))
+        return Deferred(last, self._displacements, self._rho_powers, eps)
+
+
+def _step(gradients: Gradients, step: AdamStep, statistics: StatisticsArrays) -> np.ndarray:
+    """Take a step with computed gradients, and add them to the statistics. Returns what `Blended.step` does."""
+    if statistics.active:
+        observe_gradients(gradients, statistics)
+    spans = gradients.spans
+    if len(spans) == 1:  # of a backend that does not split its rows
+        first, count = spans[0]
+        spans = [(first + a, b - a) for a, b in pool.chunks(count, pool.threads_for(count, STEPS_EACH))]
+    bad = new_flags(len(spans), step)
+    missing, values = step.rows.columns - gradients.columns, gradients.values
+    if missing > 0:
+        values = torch.nn.functional.pad(values, (0, missing))
+    rows = (gradients.index.numpy(), values.numpy(), step)
+    pool.run(step_rows, [(*span, *rows, flags) for span, flags in zip(spans, bad, strict=True)])
+    return bad
 
 
 @kernel(inline=True)
@@ -161,8 +271,8 @@ def step_row(step, i, gradients, source, bad):
     of_last = registers_at(rows, row + U(last))
     for j in range(0, last, LANES):
         g, o = load_anywhere(gradients, source + U(j)), row + U(j)
-        step_register(rows, o, registers_at(rows, o), g, decay, step.update, j, bad)
-    step_register(rows, row + U(last), of_last, g_last, decay, step.update, last, bad)
+        step_register(rows, o, registers_at(rows, o), g, decay, step, j, bad)
+    step_register(rows, row + U(last), of_last, g_last, decay, step, last, bad)
     rows.clocks[i, U(0)] = now
     rows.clocks[i, U(1)] = now
     write_bounds(rows, i, row)
@@ -175,16 +285,16 @@ def registers_at(rows, o):
 
 
 @kernel(inline=True)
-def step_register(rows, o, before, g, decay, update, j, bad):
+def step_register(rows, o, before, g, decay, step, j, bad):
     """Step the register at o, column j and those after it, by its gradient g; before: `registers_at` o."""
     parameters, m, v = before
     store_anywhere(bad, j, select(is_finite(g), load_anywhere(bad, j), broadcast(F(1))))
-    m = m * decay[0] + g * update.rest1
-    v = v * decay[1] + g * g * update.rest2
+    m = m * decay[0] + g * step.rest1
+    v = v * decay[1] + g * g * step.rest2
     store_anywhere(rows.first, o, m)
     store_anywhere(rows.second, o, v)
-    per_bias2, step_sizes = load_anywhere(update.per_bias2, j), load_anywhere(update.step_sizes, j)
-    move = divide(m, square_root(v) * per_bias2 + update.eps) * step_sizes
+    per_bias2, step_sizes = load_anywhere(step.per_bias2, j), load_anywhere(step.step_sizes, j)
+    move = divide(m, square_root(v) * per_bias2 + step.eps) * step_sizes
     store_anywhere(rows.parameters, o, parameters - move)
 
 

@@ -15,12 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tdgbench.splats.blending import AS_3DGS
-from tdgbench.splats.columns import COLORS_AT, padded
 from tdgbench.splats.cpu import jit, pool
 from tdgbench.splats.cpu.raster.blend import blend_tiles
 from tdgbench.splats.cpu.raster.passes import blend_backward
-from tdgbench.splats.cpu.raster.source import source_of_rows
 from tdgbench.splats.cpu.raster.types import (
     FLOATS,
     Channels,
@@ -31,8 +28,11 @@ from tdgbench.splats.cpu.raster.types import (
     TileLists,
     pack_camera,
     pack_limits,
+    source_of_rows,
 )
 from tdgbench.splats.cpu.scratch import Workspace
+from tdgbench.splats.gaussians import COLORS_AT, padded
+from tdgbench.splats.view import AS_3DGS
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -80,7 +80,7 @@ def blend_nothing(colors: int, depth: bool, backward: bool) -> None:
     projected = Projected(ids, ids, np.empty((0, 2), np.float32))
     view = ForwardPass(images, projected, [], splats, [(0, 0)], tiles, visits, pair_capacity=0, workspace=Workspace())
     if backward:
-        blend_backward(source, settings, view, None, None, None).rows()
+        blend_backward(source, settings, view, None, None, None).compute()
 
 
 if __name__ == "__main__":

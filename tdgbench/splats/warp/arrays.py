@@ -7,10 +7,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from tdgbench.splats.blending import Blending
 from tdgbench.splats.cpu.cache import cache_home
 from tdgbench.splats.harmonics import num_bases
-from tdgbench.splats.view import Pinhole
+from tdgbench.splats.view import Blending, Pinhole
 
 TILE = 16  # px
 TILE_PIXELS = TILE * TILE
@@ -104,6 +103,11 @@ def view_of(camera: Pinhole, degree: int | None, blending: Blending) -> WarpView
     view.min_alpha, view.max_alpha = blending.min_alpha, blending.max_alpha
     view.min_transmittance = blending.min_transmittance
     return view
+
+
+def launch(kernel: wp.Kernel, dim, inputs: list, like: Tensor, **options) -> None:
+    """Launch a kernel on the device of a tensor."""
+    wp.launch(kernel, dim=dim, inputs=inputs, device=str(like.device), **options)
 
 
 def on_stream(device: torch.device) -> AbstractContextManager:

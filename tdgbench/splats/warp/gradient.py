@@ -4,8 +4,7 @@ import warp as wp
 
 from tdgbench.splats.warp.arrays import Splats2D, WarpSource, WarpView
 from tdgbench.splats.warp.blend import GEOMETRY
-from tdgbench.splats.warp.projection import rotation_of, slope, to_world
-from tdgbench.splats.warp.sh_basis import basis, basis_gradient, vec16
+from tdgbench.splats.warp.projection import basis, basis_gradient, rotation_of, slope, to_world, vec16
 
 wp.set_module_options({"enable_backward": False})
 

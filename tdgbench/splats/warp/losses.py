@@ -7,16 +7,15 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from tdgbench.splats.cpu.losses import ssim
-from tdgbench.splats.warp.arrays import array, on_stream
-from tdgbench.splats.warp.passes import launch
+from tdgbench.splats import torch_losses
+from tdgbench.splats.warp.arrays import array, launch, on_stream
 
 wp.set_module_options({"enable_backward": False})
 
 vec5 = wp.types.vector(length=5, dtype=float)
-WEIGHTS = wp.constant(wp.types.vector(length=ssim.WINDOW, dtype=float)(*ssim.window().tolist()))
-TAPS, RADIUS = wp.constant(ssim.WINDOW), wp.constant(ssim.WINDOW // 2)
-C1, C2 = wp.constant(ssim.C1), wp.constant(ssim.C2)
+WEIGHTS = wp.constant(wp.types.vector(length=torch_losses.WINDOW, dtype=float)(*torch_losses.window().tolist()))
+TAPS, RADIUS = wp.constant(torch_losses.WINDOW), wp.constant(torch_losses.WINDOW // 2)
+C1, C2 = wp.constant(torch_losses.C1), wp.constant(torch_losses.C2)
 
 
 @wp.func

@@ -7,7 +7,17 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from tdgbench.splats.warp.arrays import TILE_PIXELS, Splats2D, TilePairs, WarpSource, WarpView, array, filled, on_stream
+from tdgbench.splats.warp.arrays import (
+    TILE_PIXELS,
+    Splats2D,
+    TilePairs,
+    WarpSource,
+    WarpView,
+    array,
+    filled,
+    launch,
+    on_stream,
+)
 from tdgbench.splats.warp.blend import backward_blend, forward_blend
 from tdgbench.splats.warp.gradient import add_pairs, project_backward
 from tdgbench.splats.warp.projection import find_starts, list_pairs, project
@@ -76,11 +86,6 @@ def count_pairs(ends: Tensor) -> int:
     if pairs < 0:
         raise ValueError("more than 2³¹ pairs of a Gaussian and a tile; the Gaussians are too large for the image")
     return pairs
-
-
-def launch(kernel: wp.Kernel, dim, inputs: list, like: Tensor, **options) -> None:
-    """Launch a kernel on the device of a tensor."""
-    wp.launch(kernel, dim=dim, inputs=inputs, device=str(like.device), **options)
 
 
 def _project(gaussians: list[Tensor], request: Request) -> list[Tensor]:

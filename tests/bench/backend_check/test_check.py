@@ -14,7 +14,7 @@ from tdgbench.bench.backend_check import check as checking
 from tdgbench.bench.backend_check.check import BackendCheck, check, check_in_new_process, scenes
 from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE, cloud, expected, render
 from tdgbench.splats.backends import ON_GPU, cpu
-from tdgbench.splats.blending import AS_3DGS, Blending
+from tdgbench.splats.view import AS_3DGS, Blending
 from tests.helpers.backends import NotFinite, Raises, StandIn, Unsteady, WrongGradient, WrongValue, need, register
 
 

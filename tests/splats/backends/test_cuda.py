@@ -11,8 +11,7 @@ import pytest
 import torch
 
 from tdgbench.splats.backends import choose_backend, cuda, reference
-from tdgbench.splats.blending import AS_3DGS
-from tdgbench.splats.view import GaussianTensors, Pinhole, RenderOptions
+from tdgbench.splats.view import AS_3DGS, GaussianTensors, Pinhole, RenderOptions
 from tests.helpers.gaussians import random_gaussians, turned_camera
 
 

@@ -38,13 +38,6 @@ def test_pieces_do_not_matter(monkeypatch):
     assert torch.equal(whole, pieces)
 
 
-def test_order_of_the_input_does_not_matter():
-    parameters = [p.double() for p in random_gaussians(30, 1, None, 2)]
-    shuffled = [p[torch.randperm(30, generator=torch.Generator().manual_seed(0))] for p in parameters]
-    a, b = (rasterization(*p, *turned_camera(20, 13), 20, 13, backend="reference")[0] for p in (parameters, shuffled))
-    assert torch.allclose(a, b, atol=1e-12)
-
-
 def test_two_layers():
     """Two huge opaque-ish sheets: the front one by its opacity, the back one through what is left."""
     quats, scales = torch.tensor([[1.0, 0, 0, 0]]).repeat(2, 1), torch.tensor([[50.0, 50.0, 1e-6]]).repeat(2, 1)

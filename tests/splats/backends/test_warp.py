@@ -14,12 +14,11 @@ from tdgbench.bench.backend_check.compare import expected, render
 from tdgbench.splats import rasterization
 from tdgbench.splats.backends import warp
 from tdgbench.splats.backends.backend import StateOptions
-from tdgbench.splats.blending import Blending
+from tdgbench.splats.backends.warp import import_problem
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.render import render_state
 from tdgbench.splats.state import TrainingState
-from tdgbench.splats.view import Pinhole
-from tdgbench.splats.warp import import_problem
+from tdgbench.splats.view import Blending, Pinhole
 from tests.helpers.gaussians import RATES, random_gaussians, turned_camera
 from tests.helpers.training import trained
 from tests.helpers.waits import Reads
@@ -151,7 +150,7 @@ def test_it_compiles_for_cuda_without_atomics(tmp_path, name):
     """Sums in a fixed order: no instruction adds floats to memory that threads share. Blocks add up in the blend."""
     import warp as wp
 
-    from tdgbench.splats.warp import adam, blend, gradient, projection, statistics
+    from tdgbench.splats.warp import blend, gradient, projection, training
     from tdgbench.splats.warp import losses as image_losses
 
     kernel = {
@@ -159,8 +158,8 @@ def test_it_compiles_for_cuda_without_atomics(tmp_path, name):
         "blend": blend.backward_blend(3, 256, True).kernel,
         "gradient": gradient.add_pairs,
         "losses": image_losses.similarity,
-        "adam": adam.step_values,
-        "statistics": statistics.add_lengths,
+        "adam": training.step_values,
+        "statistics": training.add_lengths,
     }[name]
     kernel.module.options["block_dim"] = 256
     (path,) = wp.compile_aot_module(kernel.module, arch=[75], module_dir=tmp_path, use_ptx=True)

@@ -1,6 +1,5 @@
 """The cache follows every source that machine code depends on, and old caches go."""
 
-import ast
 import errno
 import importlib
 import importlib.util
@@ -11,6 +10,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import grimp
 import numba
 import pytest
 from filelock import FileLock
@@ -26,34 +26,11 @@ def _numba_says_what_it_does(monkeypatch):
     monkeypatch.setattr(numba.config, "DEBUG_CACHE", True)
 
 
-def modules_imported_by(path: Path) -> set[Path]:
-    """Files of this project that a file imports, at any level."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        elif isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        else:
-            continue
-        for name in names:
-            place = ROOT / name.replace(".", "/")
-            found |= {file for file in (place.with_suffix(".py"), place / "__init__.py") if file.is_file()}
-    return found
-
-
 def test_the_fingerprint_covers_everything_that_kernels_import():
-    followed = {path.resolve() for path in cache.fingerprinted_files()}
-    pending = sorted((ROOT / "tdgbench/splats/cpu").rglob("*.py"))
-    imported = set()
-    while pending:
-        path = pending.pop()
-        if path not in imported:
-            imported.add(path)
-            pending += modules_imported_by(path)
-    assert {path.name for path in imported} >= {"columns.py", "harmonics.py", "blending.py"}
-    assert imported <= followed
+    graph = grimp.build_graph("tdgbench", cache_dir=None)
+    imported = graph.find_upstream_modules("tdgbench.splats.cpu", as_package=True)
+    assert {name for name in imported if not f"{name}.".startswith("tdgbench.splats.")} <= {"tdgbench"}
+    assert {*(ROOT / "tdgbench" / "splats").rglob("*.py")} == {*cache.fingerprinted_files()}
 
 
 def test_the_folder_follows_the_sources_and_the_lanes(monkeypatch, tmp_path):

@@ -14,10 +14,6 @@ from tdgbench.splats.cpu.pool import threads_for  # before tests have all work s
 from tdgbench.splats.cpu.simd import memory
 
 
-def test_results_come_in_order():
-    assert pool.run(lambda a, b: a + b, [(i, 10 * i) for i in range(7)]) == [11 * i for i in range(7)]
-
-
 def test_little_work_wakes_no_thread(monkeypatch):
     monkeypatch.setattr(pool, "_threads", 4)
     assert [threads_for(items, each=100) for items in (0, 199, 250, 300, 10_000)] == [1, 1, 2, 3, 4]
@@ -95,12 +91,6 @@ def test_a_forked_process_has_workers_of_its_own():
     if child == 0:
         os._exit(0 if pool.run(len, [("a",), ("bb",)]) == [1, 2] else 1)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-
-
-def test_chunks_cover_everything_once():
-    for count in (0, 1, 5, 100):
-        pieces = pool.chunks(count, 3)
-        assert [i for a, b in pieces for i in range(a, b)] == list(range(count))
 
 
 def test_threads_must_be_positive():

@@ -1,6 +1,8 @@
-"""Min-max normalisation of a map and its gradient: a = (d − min) / (max − min).
+"""Fused kernels of depth maps: min-max normalisation and inverse expected depth, as in `tdgbench.splats.torch_losses`.
 
-    dL/dd_i = g_i / r  − [i is the minimum] Σ g (1 − a) / r  − [i is the maximum] Σ g a / r,   r = max − min
+The gradient of a = (d − min) / r, r = max − min:
+
+    dL/dd_i = g_i / r  − [i is the minimum] Σ g (1 − a) / r  − [i is the maximum] Σ g a / r
 
 Pixels that tie for an extreme share its part evenly, as with torch's min and max.
 """
@@ -8,12 +10,73 @@ Pixels that tie for an extreme share its part evenly, as with torch's min and ma
 from __future__ import annotations
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.torch_losses import MIN_RANGE
 
 F, U = np.float32, np.uint64
 ONE = F(1)
+
+
+def min_max(values: Tensor) -> Tensor:
+    """`torch_losses.min_max` of a float32 map."""
+    return _MinMax.apply(values)
+
+
+def inverse_expected_depth(depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:
+    """`torch_losses.inverse_expected_depth` of float32 maps."""
+    return _InverseDepth.apply(depth, transmittance, min_alpha)
+
+
+def contiguous_array(tensor: Tensor) -> np.ndarray:
+    """Return a tensor as an array of its memory, or of a contiguous copy."""
+    return np.ascontiguousarray(tensor.detach().numpy())
+
+
+class _MinMax(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, values: Tensor) -> Tensor:
+        given = contiguous_array(values)
+        extremes = np.empty((len(given), 2), np.float32)
+        pool.run_bands(extreme_rows, len(given), given, extremes)
+        low, high = extremes[:, 0].min(), extremes[:, 1].max()
+        ctx.normalised = None
+        if not high - low >= MIN_RANGE:
+            return torch.zeros_like(values)
+        ctx.normalised, ctx.inverse_range = np.empty_like(given), F(1) / (high - low)
+        pool.run_bands(normalise_rows, len(given), given, low, ctx.inverse_range, ctx.normalised)
+        ctx.normalised[given == high] = 1.0  # exactly: the gradient finds the maxima by it
+        return torch.from_numpy(ctx.normalised)
+
+    @staticmethod
+    def backward(ctx, grad):
+        if ctx.normalised is None:
+            return torch.zeros_like(grad)
+        given, sums = contiguous_array(grad), np.empty((len(grad), 4), np.float64)
+        pool.run_bands(sum_rows, len(given), given, ctx.normalised, sums)
+        low_sum, high_sum, n_low, n_high = sums.sum(axis=0)
+        shares = ctx.inverse_range, F(low_sum / n_low), F(high_sum / n_high)
+        out = np.empty_like(given)
+        pool.run_bands(normalise_gradient_rows, len(given), given, ctx.normalised, *shares, out)
+        return torch.from_numpy(out)
+
+
+class _InverseDepth(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:
+        ctx.inputs = contiguous_array(depth), contiguous_array(transmittance), F(min_alpha)
+        out = np.empty_like(ctx.inputs[0])
+        pool.run_bands(inverse_rows, len(out), *ctx.inputs, out)
+        return torch.from_numpy(out)
+
+    @staticmethod
+    def backward(ctx, grad):
+        out = np.empty_like(ctx.inputs[0]), np.empty_like(ctx.inputs[0])
+        pool.run_bands(inverse_gradient_rows, len(grad), contiguous_array(grad), *ctx.inputs, *out)
+        return *map(torch.from_numpy, out), None
 
 
 @kernel(free_sums=True)
@@ -63,35 +126,6 @@ def normalise_gradient_rows(start, stop, grad, normalised, inverse_range, at_low
             target[x] = (g[x] - extra) * inverse_range
 
 
-def normalise(values: np.ndarray, min_range: float) -> tuple[np.ndarray, float] | None:
-    """Return the normalised map (H, W) of float32 values (H, W), and 1 / range; None for one below `min_range`.
-
-    >>> out, inverse_range = normalise(np.array([[1.0, 2.0], [3.0, 5.0]], np.float32), 1e-8)
-    >>> out.tolist(), inverse_range
-    ([[0.0, 0.25], [0.5, 1.0]], 0.25)
-    """
-    extremes = np.empty((len(values), 2), np.float32)
-    pool.run_bands(extreme_rows, len(values), values, extremes)
-    low, high = extremes[:, 0].min(), extremes[:, 1].max()
-    if not high - low >= min_range:
-        return None
-    out, inverse_range = np.empty_like(values), F(1) / (high - low)
-    pool.run_bands(normalise_rows, len(values), values, low, inverse_range, out)
-    out[values == high] = 1.0  # exactly: the gradient finds the maxima by it
-    return out, float(inverse_range)
-
-
-def normalise_gradient(grad: np.ndarray, normalised: np.ndarray, inverse_range: float) -> np.ndarray:
-    """Return the gradient (H, W) by the map, from the one by the normalised map (H, W)."""
-    sums = np.empty((len(grad), 4), np.float64)
-    pool.run_bands(sum_rows, len(grad), grad, normalised, sums)
-    low_sum, high_sum, n_low, n_high = sums.sum(axis=0)
-    shares = F(inverse_range), F(low_sum / n_low), F(high_sum / n_high)
-    out = np.empty_like(grad)
-    pool.run_bands(normalise_gradient_rows, len(grad), grad, normalised, *shares, out)
-    return out
-
-
 @kernel()
 def inverse_rows(start, stop, depth, transmittance, min_alpha, out):
     """out = alpha / depth, the inverse of the expected depth; 0 where alpha ≤ min_alpha. Maps (rows, columns)."""
@@ -112,17 +146,3 @@ def inverse_gradient_rows(start, stop, grad, depth, transmittance, min_alpha, gr
             slope = g[x] / d[x] if alpha > min_alpha else F(0)
             by_t[x] = -slope
             by_d[x] = -slope * alpha / d[x] if alpha > min_alpha else F(0)
-
-
-def inverse_depth(depth: np.ndarray, transmittance: np.ndarray, min_alpha: float) -> np.ndarray:
-    """Return the inverse expected depth (H, W), from accumulated depth (H, W) and transmittance (H, W)."""
-    out = np.empty_like(depth)
-    pool.run_bands(inverse_rows, len(depth), depth, transmittance, F(min_alpha), out)
-    return out
-
-
-def inverse_depth_gradient(grad, depth, transmittance, min_alpha: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return gradients (H, W) by depth and by transmittance, from the one by the inverse depth (H, W)."""
-    out = np.empty_like(depth), np.empty_like(depth)
-    pool.run_bands(inverse_gradient_rows, len(depth), grad, depth, transmittance, F(min_alpha), *out)
-    return out

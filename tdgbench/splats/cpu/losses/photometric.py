@@ -2,29 +2,41 @@
 
 Images are (rows, columns × channels), channels interleaved: neighbours in a row are `channels` floats apart, so one
 kernel serves every channel count. A band of rows is streamed: the last eleven rows of every quantity stay in cache.
-Masked pixels (`masks`) are 0 in both images; the kernels are compiled apart without a mask.
+Masked pixels (`rows`) are 0 in both images; the kernels are compiled apart without a mask.
 With mu, E[aa], E[bb], E[ab] filtered by the window G, SSIM's derivative by the first image is
 G∗(dS/dmu_a) + 2 a G∗(dS/dE[aa]) + b G∗(dS/dE[ab]).
 """
 
 from __future__ import annotations
 
+import weakref
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.losses import ssim
-from tdgbench.splats.cpu.losses.masks import apply_mask, pixel_weights, without_masked
-from tdgbench.splats.cpu.losses.smoothness import add_difference_gradient, neighbour_differences
-from tdgbench.splats.cpu.simd.reductions import difference_sum, row_sum
+from tdgbench.splats.cpu.losses.minmax import contiguous_array
+from tdgbench.splats.cpu.losses.rows import (
+    add_difference_gradient,
+    apply_mask,
+    difference_sum,
+    neighbour_differences,
+    row_sum,
+    without_masked,
+)
+from tdgbench.splats.cpu.scratch import free_buffers
+from tdgbench.splats.torch_losses import C1, C2, WINDOW, LossWeights, valid_values, window
 
 F, U = np.float32, np.uint64
-TAPS, RADIUS = ssim.WINDOW, ssim.WINDOW // 2
-W0, W1, W2, W3, W4, W5 = (F(w) for w in ssim.window()[: RADIUS + 1])
+TAPS, RADIUS = WINDOW, WINDOW // 2
+W0, W1, W2, W3, W4, W5 = (F(w) for w in window()[: RADIUS + 1])
 ZERO, ONE, TWO = F(0), F(1), F(2)
-C1, C2 = F(ssim.C1), F(ssim.C2)
+C_1, C_2 = F(C1), F(C2)
+MANY = 1_000_000  # Gaussians
+CACHE_BYTES = 192 * 2**20  # of filtered images: 80 views of 640 × 480 px with one channel, or 40 with depth priors
 
 
 class Target(NamedTuple):
@@ -34,11 +46,12 @@ class Target(NamedTuple):
     filtered: np.ndarray  # float32 (2, H, W · C): the image and its square, filtered by the window
     weights: np.ndarray | None  # float32 (H, W · C): 0 of masked values, 1 of others; None: nothing is masked
     channels: int
+    count: int  # values that are not masked
 
     @property
-    def count(self) -> int:
-        """Number of values that are not masked."""
-        return self.image.size if self.weights is None else int(np.count_nonzero(self.weights))
+    def bytes(self) -> int:
+        """Memory beyond that of the image and its mask."""
+        return self.filtered.nbytes + (0 if self.weights is None else self.weights.nbytes + self.image.nbytes)
 
 
 class Scales(NamedTuple):
@@ -154,10 +167,10 @@ def similarity_of_row(filtered, filtered_b, channels, weights, y, line, values, 
     for x in range(U(n)):
         mu_a, mu_b = f0[x], f1[x]
         var_a, var_b, cov = f2[x] - mu_a * mu_a, f3[x] - mu_b * mu_b, f4[x] - mu_a * mu_b
-        light = TWO * mu_a * mu_b + C1
-        structure = TWO * cov + C2
-        inv_light = ONE / (mu_a * mu_a + mu_b * mu_b + C1)
-        inv_structure = ONE / (var_a + var_b + C2)
+        light = TWO * mu_a * mu_b + C_1
+        structure = TWO * cov + C_2
+        inv_light = ONE / (mu_a * mu_a + mu_b * mu_b + C_1)
+        inv_structure = ONE / (var_a + var_b + C_2)
         s = light * structure * inv_light * inv_structure
         values[x] = s
         d_aa = -s * inv_structure
@@ -240,49 +253,94 @@ def photometric_band(start, stop, a, target, weights, scales, gradient, sums):
             sums[g, 2] = neighbour_differences(g, a, weights, channels, scales.wrap)
 
 
-def prepare_target(image: np.ndarray, valid: np.ndarray | None = None) -> Target:
-    """Prepare an image, float32 (H, W, C), contiguous, to compare others with; valid: bool (H, W), false if masked.
-
-    Raises ValueError if all of it is masked.
-    """
+def prepare_target(given: Tensor, valid: Tensor | None) -> Target:
+    """Prepare an image (H, W, C) to compare others with; valid: mask (H, W). Raises ValueError if all is masked."""
+    image, count = contiguous_array(given), valid_values(given, valid)
     height, width, channels = image.shape
     flat, weights = image.reshape(height, width * channels), None
     if valid is not None:
-        weights = pixel_weights(valid, channels)
+        weights = np.repeat(contiguous_array(valid), channels, axis=1).astype(F)
         flat = without_masked(flat, weights)
     filtered = np.empty((2, *flat.shape), np.float32)
     pool.run_bands(filter_band, height, flat, channels, filtered)
-    return Target(flat, filtered, weights, channels)
+    return Target(flat, filtered, weights, channels, count)
 
 
-def photometric_and_gradient(
-    a: np.ndarray,
-    b: np.ndarray | Target,
-    l1_weight: float,
-    ssim_weight: float,
-    smooth_scale: float = 0.0,
-    wrap: bool = False,
-    valid: np.ndarray | None = None,
-) -> tuple[float, float, float, np.ndarray]:
-    """Return L1, mean SSIM and Σ |differences of neighbours in a| (0 if smooth_scale is 0), and their gradient by a.
+def image_loss(image: Tensor, target: Tensor, weights: LossWeights, valid: Tensor | None) -> Tensor:
+    """Return L1, 1 − SSIM and smoothness of float32 images, with their weights, in one pass."""
+    return _ImageLoss.apply(image, _PREPARED.of(target, valid), weights)
 
-    The gradient is that of l1_weight · L1 + ssim_weight · SSIM + smooth_scale · Σ |differences|. Images and gradient
-    are float32 (H, W, C), contiguous, in [0, 1]; b may be prepared. See `tdgbench.splats.cpu.losses.smoothness` for
-    `wrap`. valid: bool (H, W), where it is false pixels are masked, unless b is prepared; L1 and SSIM are means over
-    the others. Raises ValueError if there are no others.
 
-    >>> a, b = np.full((8, 8, 1), 0.5, np.float32), np.full((8, 8, 1), 0.25, np.float32)
-    >>> l1, _, _, gradient = photometric_and_gradient(a, b, 1.0, 0.0)
-    >>> l1, float(gradient[0, 0, 0]) == 1 / 64
-    (0.25, True)
+class _ImageLoss(torch.autograd.Function):
+    """Weighted L1, 1 − SSIM and smoothness of a float32 image (H, W, C) in [0, 1], computed with its gradient.
+
+    A pair of neighbours counts for both its pixels. In the reading `released` the image is a torus, and neighbours are
+    constants, which halves the gradient.
     """
-    height, width, channels = a.shape
-    target = b if isinstance(b, Target) else prepare_target(b, valid)
-    flat_a, weights, count = a.reshape(height, width * channels), target.weights, target.count
-    if weights is not None:
-        flat_a = without_masked(flat_a, weights)
-    gradient, sums = np.empty_like(flat_a), np.zeros((height, 3), np.float64)
-    scales = Scales(F(l1_weight / count), F(ssim_weight / count), F(smooth_scale), wrap)
-    pool.run_bands(photometric_band, height, flat_a, target, weights, scales, gradient, sums)
-    error, similarity, differences = sums.sum(axis=0).tolist()
-    return error / count, similarity / count, differences, gradient.reshape(a.shape)
+
+    @staticmethod
+    def forward(ctx, image: Tensor, target: Target, weights: LossWeights) -> Tensor:
+        height, width, channels = image.shape
+        pixels, count, wrap = target.weights, target.count, weights.reading == "released"
+        flat = contiguous_array(image).reshape(height, width * channels)
+        if pixels is not None:
+            flat = without_masked(flat, pixels)
+        smooth = weights.smooth * (2 / count if wrap else 2 / (4 * count))
+        by_smooth = weights.smooth * (1 / count) if wrap else smooth
+        scales = Scales(F(weights.l1 / count), F(-weights.dssim / count), F(by_smooth), wrap)
+        gradient, sums = np.empty_like(flat), np.zeros((height, 3), np.float64)
+        pool.run_bands(photometric_band, height, flat, target, pixels, scales, gradient, sums)
+        error, similarity, differences = sums.sum(axis=0).tolist()
+        ctx.gradient = torch.from_numpy(gradient.reshape(image.shape))
+        value = weights.l1 * (error / count) + weights.dssim * (1 - similarity / count) + smooth * differences
+        return torch.scalar_tensor(value, dtype=torch.float32)
+
+    @staticmethod
+    def backward(ctx, grad):
+        # as it is, if nothing scales it: autograd does not write into what ctx holds, too
+        return ctx.gradient if grad.item() == 1 else grad * ctx.gradient, None, None
+
+
+class PreparedTargets:
+    """Prepared images by their tensors, up to a number of bytes; further images are prepared anew each time."""
+
+    def __init__(self, max_bytes: int = CACHE_BYTES) -> None:
+        self.max_bytes = max_bytes
+        self.bytes = 0
+        # with torch's counts of writes to image and mask, and the mask
+        self._prepared: dict[int, tuple[tuple[int, int | None], Tensor | None, Target]] = {}
+
+    def of(self, image: Tensor, valid: Tensor | None) -> Target:
+        """Return the image (H, W, C), prepared with a mask (H, W)."""
+        stored = self._prepared.get(id(image))
+        version = (image._version, None if valid is None else valid._version)
+        if stored is not None and stored[0] == version and stored[1] is valid:
+            return stored[2]
+        target = prepare_target(image, valid)
+        growth = target.bytes - (0 if stored is None else stored[2].bytes)
+        if self.bytes + growth <= self.max_bytes:
+            self.bytes += growth
+            self._prepared[id(image)] = (version, valid, target)
+            if stored is None:
+                weakref.finalize(image, self._forget, id(image))
+        return target
+
+    def limit(self, max_bytes: int) -> None:
+        """Change the number of bytes; where it is exceeded, forget all of them."""
+        self.max_bytes = max_bytes
+        if self.bytes > max_bytes:
+            self._prepared.clear()
+            self.bytes = 0
+            free_buffers()
+
+    def _forget(self, key: int) -> None:
+        stored = self._prepared.pop(key, None)
+        self.bytes -= 0 if stored is None else stored[2].bytes
+
+
+_PREPARED = PreparedTargets()
+
+
+def keep_prepared(gaussians: int) -> None:
+    """Keep prepared images while there are few Gaussians: with MANY, preparing them takes a hundredth of a step."""
+    _PREPARED.limit(CACHE_BYTES if gaussians < MANY else 0)

@@ -5,44 +5,97 @@
 alpha is capped at max_alpha (0.99) and skipped below min_alpha (1/255); a pixel stops before the Gaussian that would
 take T below min_transmittance (1e-4).
 Stopped pixels need no branch: the sign bit of their T is set, which makes every further weight zero.
+
+Blocks are 4 × LANES / 4 pixels, numbered row by row from the tile's corner: a small Gaussian touches fewer of them than
+it would touch strips of one row. A set of blocks is a number, one bit each. A kernel holds a tile as `pixels`, float32:
+`size` floats a block, of which X, Y and T are the same in all kernels.
 """
 
 from __future__ import annotations
 
 import functools
+from typing import NamedTuple
 
 import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.blocks import (
-    ALL,
-    BLOCKS,
-    LOCAL,
-    NONE,
-    TABLES,
-    T,
-    active_blocks,
-    channels_of,
-    form_of,
-    log2_alpha_in,
-    lowest,
-    pixel_of,
-    tile_at,
-    write_centres,
-    write_transmittance,
-)
+from tdgbench.splats.cpu.raster import types as splat
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tdgbench.splats.cpu.raster.types import ImageArrays, Settings, Splats, TileLists, Visits
+from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import aligned_floats, load, prefetch_row, store, take_next
-from tdgbench.splats.cpu.simd.powers import exp2_in_memory
-from tdgbench.splats.cpu.simd.reductions import any_bit, any_positive
-from tdgbench.splats.cpu.simd.registers import LANES, broadcast, greater_equal, maximum, minimum, negative_abs, select
+from tdgbench.splats.cpu.simd.registers import (
+    EXP2,
+    LANES,
+    absolute,
+    any_bit,
+    any_positive,
+    broadcast,
+    exp2_by,
+    greater,
+    greater_equal,
+    lane_bits,
+    lowest,
+    maximum,
+    minimum,
+    negative_abs,
+    select,
+)
 
 F, U = np.float32, np.uint64
-ZERO = F(0)
+WIDTH, HEIGHT = 4, LANES // 4  # of a block, px
+ACROSS, DOWN = TILE // WIDTH, TILE // HEIGHT
+BLOCKS = ACROSS * DOWN
+X, Y, T, LOCAL = U(0), U(LANES), U(2 * LANES), U(3 * LANES)  # of a block: centres, transmittance, the kernel's values
+ALL, NONE = U(2**BLOCKS - 1), U(0)
+HALF_WIDTH, HALF_HEIGHT = F((WIDTH - 1) / 2), F((HEIGHT - 1) / 2)  # from a block's centre to its outermost pixels'
+ZERO, TWO, DEAD = F(0), F(2), F(-0.0)
+ROUNDING = F(1 / 64)  # bound of the rounding error of log2(alpha)
 BATCH = 16  # Gaussians whose active blocks are found before they are blended; then stopped blocks are looked for
 PREFETCH_DISTANCE = 16  # pairs
+
+
+class Tile(NamedTuple):
+    """A tile: its corner in px, and its pairs [begin, end) in the tile lists."""
+
+    left: int
+    top: int
+    begin: int
+    end: int
+
+
+class Form(NamedTuple):
+    """log2(alpha) = log2_opacity + A dx² + B dx dy + C dy², registers; (dx, dy) leads from the mean to the tile, px."""
+
+    dx: float
+    dy: float
+    A: float
+    B: float
+    C: float
+    log2_opacity: float
+
+
+class BlockTables(NamedTuple):
+    """Constants that the blend kernels read from memory."""
+
+    centres: (
+        np.ndarray
+    )  # float32: x of all blocks, y of all blocks, then x and y of each block's pixels, px from the corner
+    powers: np.ndarray  # (6 · LANES,) float32: each coefficient of `exp2` as a register
+
+
+def _tables() -> BlockTables:
+    row, column = np.divmod(np.arange(BLOCKS), ACROSS)
+    blocks = np.stack([column * WIDTH + WIDTH / 2, row * HEIGHT + HEIGHT / 2])
+    down, along = np.divmod(np.arange(LANES), WIDTH)
+    pixels = np.stack([(column * WIDTH)[:, None] + along + 0.5, (row * HEIGHT)[:, None] + down + 0.5], axis=1)
+    centres, powers = (empty_aligned((count,), np.float32) for count in (2 * BLOCKS + pixels.size, len(EXP2) * LANES))
+    centres[:], powers[:] = np.concatenate([blocks.ravel(), pixels.ravel()]), np.repeat(EXP2, LANES)
+    return BlockTables(centres, powers)
+
+
+TABLES = _tables()
 
 
 def blend_tiles(settings: Settings, splats: Splats, tiles: TileLists, active_blocks: np.ndarray):
@@ -183,3 +236,96 @@ def write_pixels(pixels, size, colors, depth, tile, background, images):
                     images.color[y, x, c] = pixels[o + LOCAL + U(LANES) * c] + t * background[c]
                 if depth:
                     images.depth[y, x] = pixels[o + LOCAL + U(LANES * colors)]
+
+
+@kernel(inline=True)
+def tile_at(index, tiles_x, starts):
+    """Tile number `index` of an image of tiles_x tiles a row; starts (tiles + 1,): first pair of each."""
+    return Tile((index % tiles_x) * TILE, (index // tiles_x) * TILE, starts[index], starts[index + 1])
+
+
+@kernel(inline=True)
+def write_centres(pixels, size, centres):
+    """Write the pixels' centres."""
+    for block in range(U(BLOCKS)):
+        o, given = block * U(size), U(2 * BLOCKS) + block * U(2 * LANES)
+        store(pixels, o + X, load(centres, given))
+        store(pixels, o + Y, load(centres, given + U(LANES)))
+
+
+@kernel(inline=True)
+def write_transmittance(pixels, size, columns, rows):
+    """Write T before any Gaussian; pixels beyond the image's remaining columns and rows let nothing through."""
+    for block in range(U(BLOCKS)):
+        o = block * U(size)
+        inside = select(greater(broadcast(F(columns)), load(pixels, o + X)), broadcast(F(1)), broadcast(DEAD))
+        inside = select(greater(broadcast(F(rows)), load(pixels, o + Y)), inside, broadcast(DEAD))
+        store(pixels, o + T, inside)
+
+
+@kernel(inline=True)
+def pixel_of(block, lane, tile):
+    """y and x in the image of a pixel of a tile."""
+    y = U(tile.top) + block // U(ACROSS) * U(HEIGHT) + lane // U(WIDTH)
+    x = U(tile.left) + block % U(ACROSS) * U(WIDTH) + lane % U(WIDTH)
+    return y, x
+
+
+@kernel(inline=True)
+def form_of(splats, i, tile):
+    """Form of row i of splats (n, 16), relative to a tile."""
+    return Form(
+        broadcast((F(tile.left) - splats[i, splat.FIRST_X]) - splats[i, splat.U_]),
+        broadcast((F(tile.top) - splats[i, splat.FIRST_Y]) - splats[i, splat.V_]),
+        broadcast(splats[i, splat.A_]),
+        broadcast(splats[i, splat.B_]),
+        broadcast(splats[i, splat.C_]),
+        broadcast(splats[i, splat.LOG2_OPACITY]),
+    )
+
+
+@kernel(inline=True)
+def channels_of(splats, i):
+    """Four registers: the channels of row i of splats (n, 16); those not in use hold anything."""
+    return (
+        broadcast(splats[i, splat.CHANNELS]),
+        broadcast(splats[i, splat.CHANNELS + 1]),
+        broadcast(splats[i, splat.CHANNELS + 2]),
+        broadcast(splats[i, splat.CHANNELS + 3]),
+    )
+
+
+@kernel(inline=True)
+def log2_alpha_in(pixels, o, form):
+    """log2(alpha) before its limits in the pixels of the block at o."""
+    dx, dy = load(pixels, o + X) + form.dx, load(pixels, o + Y) + form.dy
+    return dx * (dx * form.A + dy * form.B) + (dy * dy * form.C + form.log2_opacity)
+
+
+@kernel(inline=True)
+def active_blocks(centres, form, log2_min_alpha):
+    """Blocks in which log2(alpha) may be log2_min_alpha or more.
+
+    It is concave, so it lies below its tangent plane at the block's centre: below the value there and |slope| times the
+    distance to the outermost pixels.
+    """
+    dx = load(centres, 0) + form.dx  # all registers of blocks have the same columns
+    a, b = dx * form.A, dx * form.B
+    along_x = dx * a + form.log2_opacity
+    least = log2_min_alpha - ROUNDING
+    blocks = NONE
+    for first in range(0, BLOCKS, LANES):
+        dy = load(centres, BLOCKS + first) + form.dy
+        c = dy * form.C
+        middle = dy * (c + b) + along_x
+        slope_x, slope_y = a * TWO + dy * form.B, c * TWO + b
+        highest = middle + absolute(slope_x) * HALF_WIDTH + absolute(slope_y) * HALF_HEIGHT
+        blocks |= lane_bits(greater_equal(highest, broadcast(least))) << U(first)
+    return blocks
+
+
+@kernel(inline=True)
+def exp2_in_memory(x, table):
+    """2^x to 2.5e-7 relative for a register x, |x| < 126; table: `BlockTables.powers`."""
+    first = (load(table, 0), load(table, LANES), load(table, 2 * LANES))
+    return exp2_by(x, *first, load(table, 3 * LANES), load(table, 4 * LANES), load(table, 5 * LANES))

@@ -18,7 +18,7 @@ import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.blocks import (
+from tdgbench.splats.cpu.raster.blend import (
     BLOCKS,
     LOCAL,
     NONE,
@@ -28,9 +28,9 @@ from tdgbench.splats.cpu.raster.blocks import (
     X,
     Y,
     channels_of,
+    exp2_in_memory,
     form_of,
     log2_alpha_in,
-    lowest,
     pixel_of,
     tile_at,
     write_centres,
@@ -47,8 +47,6 @@ from tdgbench.splats.cpu.simd.memory import (
     store_anywhere,
     take_next,
 )
-from tdgbench.splats.cpu.simd.powers import exp2_in_memory
-from tdgbench.splats.cpu.simd.reductions import lane_sums_of_4, lane_sums_of_8
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
     absolute,
@@ -56,7 +54,10 @@ from tdgbench.splats.cpu.simd.registers import (
     broadcast,
     greater,
     greater_equal,
+    lane_sums_of_4,
+    lane_sums_of_8,
     less_equal,
+    lowest,
     maximum,
     minimum,
     negative_abs,

@@ -11,21 +11,20 @@ import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.blocks import NONE, lowest
-from tdgbench.splats.cpu.raster.parameters import exponential
-from tdgbench.splats.cpu.raster.projection import camera_point, ray_limits
-from tdgbench.splats.cpu.raster.source import BOUNDS, GaussianSource, Span
-from tdgbench.splats.cpu.raster.types import Settings
+from tdgbench.splats.cpu.raster.blend import NONE
+from tdgbench.splats.cpu.raster.projection import camera_point, exponential, ray_limits
+from tdgbench.splats.cpu.raster.types import BOUNDS, GaussianSource, Settings, Span
 from tdgbench.splats.cpu.scratch import Workspace
 from tdgbench.splats.cpu.simd.memory import gather, load_fours
-from tdgbench.splats.cpu.simd.reductions import lane_bits
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
     broadcast,
     divide,
     greater,
     is_nan,
+    lane_bits,
     less_equal,
+    lowest,
     maximum,
     select,
     square_root,

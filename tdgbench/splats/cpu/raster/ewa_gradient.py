@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.raster.projection import dot
 from tdgbench.splats.cpu.simd.memory import load
 from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, equal, select
 
@@ -79,20 +80,19 @@ def outer(ja, jb, gp, gq):
 
 @kernel(inline=True)
 def quaternion_gradient(quat, per_length, rows):
-    """Gradient of the raw quaternion from the rows of the rotation's; quat is normalised, per_length = 1 / length."""
+    """Gradients of w and (x, y, z) of the raw quaternion from the rows of the rotation's.
+
+    quat is normalised, per_length = 1 / length.
+    """
     w, x, y, z = quat
     g0, g1, g2 = rows
     dw = TWO * (x * (g2[1] - g1[2]) + y * (g0[2] - g2[0]) + z * (g1[0] - g0[1]))
     dx = TWO * (-TWO * x * (g1[1] + g2[2]) + y * (g0[1] + g1[0]) + z * (g0[2] + g2[0]) + w * (g2[1] - g1[2]))
     dy = TWO * (x * (g0[1] + g1[0]) - TWO * y * (g0[0] + g2[2]) + z * (g1[2] + g2[1]) + w * (g0[2] - g2[0]))
     dz = TWO * (x * (g0[2] + g2[0]) + y * (g1[2] + g2[1]) - TWO * z * (g0[0] + g1[1]) + w * (g1[0] - g0[1]))
-    dot = dw * w + dx * x + dy * y + dz * z
-    return (
-        (dw - dot * w) * per_length,
-        (dx - dot * x) * per_length,
-        (dy - dot * y) * per_length,
-        (dz - dot * z) * per_length,
-    )
+    along = dw * w + dx * x + dy * y + dz * z
+    by_vector = ((dx - along * x) * per_length, (dy - along * y) * per_length, (dz - along * z) * per_length)
+    return (dw - along * w) * per_length, by_vector
 
 
 @kernel(inline=True)
@@ -103,18 +103,13 @@ def point_gradient(footprint, gp, gq, g_mean2d, camera):
     tx, ty = footprint.ray
     gu, gv = g_mean2d
     r0, r1, r2 = footprint.axes
-    gja0 = r0[0] * gp[0] + r0[1] * gp[1] + r0[2] * gp[2]
-    gja1 = r1[0] * gp[0] + r1[1] * gp[1] + r1[2] * gp[2]
-    gja2 = r2[0] * gp[0] + r2[1] * gp[1] + r2[2] * gp[2]
-    gjb0 = r0[0] * gq[0] + r0[1] * gq[1] + r0[2] * gq[2]
-    gjb1 = r1[0] * gq[0] + r1[1] * gq[1] + r1[2] * gq[2]
-    gjb2 = r2[0] * gq[0] + r2[1] * gq[1] + r2[2] * gq[2]
+    gja = (dot(r0, gp), dot(r1, gp), dot(r2, gp))
+    gjb = (dot(r0, gq), dot(r1, gq), dot(r2, gq))
     z_axis, zero = camera.z_axis, broadcast(ZERO)
     sx, sy = camera.fx * rz, camera.fy * rz
-    gsx = divide(gja0 * ja[0] + gja1 * ja[1] + gja2 * ja[2], sx)
-    gsy = divide(gjb0 * jb[0] + gjb1 * jb[1] + gjb2 * jb[2], sy)
-    gtx = -sx * (gja0 * z_axis[0] + gja1 * z_axis[1] + gja2 * z_axis[2])
-    gty = -sy * (gjb0 * z_axis[0] + gjb1 * z_axis[1] + gjb2 * z_axis[2])
+    gsx = divide(dot(gja, ja), sx)
+    gsy = divide(dot(gjb, jb), sy)
+    gtx, gty = -sx * dot(gja, z_axis), -sy * dot(gjb, z_axis)
     gtx, gty = select(equal(tx, x * rz), gtx, zero), select(equal(ty, y * rz), gty, zero)  # zero where clamped
     gx, gy = sx * gu + gtx * rz, sy * gv + gty * rz
     g_rz = camera.fx * gsx + camera.fy * gsy + camera.fx * x * gu + camera.fy * y * gv + gtx * x + gty * y

@@ -14,21 +14,27 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from tdgbench.splats.columns import COLORS_AT, padded
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.adam import AdamStep, new_flags
 from tdgbench.splats.cpu.raster.blend import blend_tiles
 from tdgbench.splats.cpu.raster.blend_backward import fill_slots, slot_size
 from tdgbench.splats.cpu.raster.culling import find_candidates
-from tdgbench.splats.cpu.raster.projection_backward import NO_FUSED_STEP, NO_ROWS, FusedStep, projection_backward
+from tdgbench.splats.cpu.raster.projection_backward import NO_FUSED_STEP, NO_ROWS, SLOT, FusedStep, projection_backward
 from tdgbench.splats.cpu.raster.projection_forward import project_candidates
-from tdgbench.splats.cpu.raster.slot_sums import SLOT
-from tdgbench.splats.cpu.raster.source import GaussianSource
 from tdgbench.splats.cpu.raster.tiles import list_by_tile
-from tdgbench.splats.cpu.raster.types import ForwardPass, GradientArrays, GradientRows, ImageArrays, Settings, Slots
+from tdgbench.splats.cpu.raster.types import (
+    ForwardPass,
+    GaussianSource,
+    GradientArrays,
+    ImageArrays,
+    Settings,
+    Slots,
+    Span,
+)
 from tdgbench.splats.cpu.scratch import Workspace
 from tdgbench.splats.cpu.simd.registers import LANES
 from tdgbench.splats.cpu.statistics import StatisticsArrays
+from tdgbench.splats.gaussians import COLORS_AT, padded
 from tdgbench.splats.gradients import Gradients, PendingGradients
 
 
@@ -71,8 +77,7 @@ class Blended(PendingGradients):
         colors, degree = self.settings.channels[:2]
         return padded(COLORS_AT + colors * max((degree + 1) ** 2, 1))
 
-    def rows(self, image_only: bool = False) -> GradientRows:
-        """Return gradients of the Gaussians that some pixel depends on. image_only: with no column of parameters."""
+    def compute(self, image_only: bool = False) -> Gradients:
         workspace = Workspace()
         capacity = -(-len(self.view.splats.values) // LANES) * LANES
         rows = GradientArrays(
@@ -80,15 +85,10 @@ class Blended(PendingGradients):
             workspace.take("gradients", (capacity, 0 if image_only else self.columns), np.float32),
             workspace.take("image gradients", (capacity, 5 if self.settings.channels.absgrad else 3), np.float32),
         )
-        return GradientRows(self._run(rows, [NO_FUSED_STEP] * len(self.view.splat_spans)), rows, workspace)
-
-    def compute(self, image_only: bool = False) -> Gradients:
-        rows = self.rows(image_only)
-        index, values, image = map(torch.from_numpy, rows.arrays)
-        lease = (rows.workspace, self.view.workspace)
+        spans = self._run(rows, [NO_FUSED_STEP] * len(self.view.splat_spans))
         return Gradients(
-            rows.spans, index, values, image, self.projected_spans, self.projected, self.radii, self.pairs,
-            self.blended, lease,
+            spans, *map(torch.from_numpy, rows), self.projected_spans, self.projected, self.radii, self.pairs,
+            self.blended, lease=(workspace, self.view.workspace),
         )  # fmt: skip
 
     def step(self, step: AdamStep, statistics: StatisticsArrays) -> np.ndarray:
@@ -101,7 +101,7 @@ class Blended(PendingGradients):
         self.touched = sum(n for _, n in self._run(NO_ROWS, [FusedStep(step, statistics, flags) for flags in bad]))
         return bad
 
-    def _run(self, rows: GradientArrays, steps: Sequence[FusedStep]) -> list[tuple[int, int]]:
+    def _run(self, rows: GradientArrays, steps: Sequence[FusedStep]) -> list[Span]:
         source, settings, view = self.source, self.settings, self.view
         shared = (source.parameters, settings.channels, settings.camera, view.splats, self.slots, rows)
         counts = pool.run(

@@ -1,6 +1,9 @@
-"""Projection of 3-D Gaussians to 2-D ones (EWA splatting; Zwicker et al. 2001, as used by 3DGS), LANES at a time.
+"""LANES Gaussians as registers: their activated parameters, and their projection to the image by EWA splatting (Zwicker
+et al. 2001, as used by 3DGS).
 
-Helpers of the kernels: numbers are registers unless named scalars, vectors are tuples of them; `camera` is a `Camera`.
+Helpers of the kernels: numbers are registers unless named scalars, vectors are tuples of them; `camera` is a
+`PackedCamera`. Parameters are first collected in `gathered`, (GATHERED · LANES,) float32: column c of
+`tdgbench.splats.gaussians` at c · LANES. `rows` (n,) int32 and `k` name the Gaussians rows[k], rows[k + 1], …
 """
 
 from __future__ import annotations
@@ -10,15 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.splats.columns import MEANS_AT
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.parameters import deviations, gathered_columns, rotation
+from tdgbench.splats.cpu.simd.memory import gather_block, load
 from tdgbench.splats.cpu.simd.registers import (
+    LANES,
     broadcast,
     divide,
     divide_doubles,
+    exp2,
     greater,
     greater_equal,
+    is_nan,
+    log2,
     maximum,
     minimum,
     round_up,
@@ -26,10 +32,77 @@ from tdgbench.splats.cpu.simd.registers import (
     square_root,
     widen,
 )
+from tdgbench.splats.gaussians import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
 
 F = np.float32
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
 FAR_AWAY = F(1e9)  # px: beyond it, whole numbers of pixels make no sense
+LOG2_E = F(math.log2(math.e))
+LARGEST_EXPONENT = F(126)
+GATHERED = padded(COLORS_AT + 16 * 4)  # registers: a Gaussian of degree 3 with four channels
+SHORTEST = F(1e-12)  # quaternions are divided by no less, as torch does
+
+
+@kernel(inline=True)
+def exponential(x):
+    """e^x, clamped to 2^±126; NaN stays NaN."""
+    return select(is_nan(x), x, exp2(minimum(maximum(x * LOG2_E, -LARGEST_EXPONENT), LARGEST_EXPONENT)))
+
+
+@kernel(inline=True)
+def collect(parameters, rows, k, colors, gathered):
+    """Fill `gathered` with the Gaussians rows[k …] of `Parameters`, `colors` numbers of their colours."""
+    values, stride = parameters.values, parameters.stride
+    for c in range(0, COLORS_AT + colors, LANES):
+        gather_block(values, rows, k, stride, c, gathered, c * LANES)
+
+
+@kernel(inline=True)
+def gathered_columns(gathered, c):
+    """Columns c, c + 1, c + 2."""
+    return load(gathered, c * LANES), load(gathered, (c + 1) * LANES), load(gathered, (c + 2) * LANES)
+
+
+@kernel(inline=True)
+def deviations(gathered, raw):
+    """Standard deviations along the three axes, world units; `raw`: `gathered` holds their natural logarithms."""
+    s0, s1, s2 = gathered_columns(gathered, SCALES_AT)
+    if raw:
+        s0, s1, s2 = exponential(s0), exponential(s1), exponential(s2)
+    return s0, s1, s2
+
+
+@kernel(inline=True)
+def opacity_and_log2(gathered, raw):
+    """Opacity and its log2; `raw`: `gathered` holds the logit x: o = 1 / (1 + e^−x), log2 o = −log2(1 + e^−x)."""
+    opacity = load(gathered, OPACITY_AT * LANES)
+    if raw:
+        inverse = exponential(ZERO - opacity) + ONE
+        opacity = divide(ONE, inverse)
+        logarithm = ZERO - log2(inverse)
+    else:
+        logarithm = log2(opacity)
+    return opacity, logarithm
+
+
+@kernel(inline=True)
+def rotation(gathered):
+    """Rows of the rotation matrix of a quaternion (wxyz), its normalised parts, and 1 / |quaternion|."""
+    w = load(gathered, QUATS_AT * LANES)
+    x, y, z = gathered_columns(gathered, QUATS_AT + 1)
+    length = square_root(w * w + x * x + y * y + z * z)
+    n = divide(ONE, select(greater(broadcast(SHORTEST), length), broadcast(SHORTEST), length))
+    w, x, y, z = w * n, x * n, y * n, z * n
+    r0 = (ONE - TWO * (y * y + z * z), TWO * (x * y - w * z), TWO * (x * z + w * y))
+    r1 = (TWO * (x * y + w * z), ONE - TWO * (x * x + z * z), TWO * (y * z - w * x))
+    r2 = (TWO * (x * z - w * y), TWO * (y * z + w * x), ONE - TWO * (x * x + y * y))
+    return (r0, r1, r2), (w, x, y, z), n
+
+
+@kernel(inline=True)
+def dot(a, b):
+    """Dot product of two vectors."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel(inline=True)
@@ -44,11 +117,8 @@ def from_camera(mean, camera):
 @kernel(inline=True)
 def camera_point(mean, camera):
     """The mean in camera coordinates."""
-    mx, my, mz = from_camera(mean, camera)
-    x = mx * camera.x_axis[0] + my * camera.x_axis[1] + mz * camera.x_axis[2]
-    y = mx * camera.y_axis[0] + my * camera.y_axis[1] + mz * camera.y_axis[2]
-    z = mx * camera.z_axis[0] + my * camera.z_axis[1] + mz * camera.z_axis[2]
-    return x, y, z
+    toward = from_camera(mean, camera)
+    return dot(toward, camera.x_axis), dot(toward, camera.y_axis), dot(toward, camera.z_axis)
 
 
 @kernel(inline=True)
@@ -68,27 +138,9 @@ def ray_limits(camera):
 
 
 @kernel(inline=True)
-def clamped_ray(x, y, rz, camera):
-    """tan of the viewing ray, clamped."""
-    left, right, top, bottom = ray_limits(camera)
-    return minimum(maximum(x * rz, left), right), minimum(maximum(y * rz, top), bottom)
-
-
-@kernel(inline=True)
-def jacobian_rows(tx, ty, rz, camera):
-    """Rows of J·R: px by which u and v move per world unit of the mean; tx, ty: clamped ray, rz = 1 / z."""
-    sx, sy = rz * camera.fx, rz * camera.fy
-    ja = (
-        sx * (camera.x_axis[0] - tx * camera.z_axis[0]),
-        sx * (camera.x_axis[1] - tx * camera.z_axis[1]),
-        sx * (camera.x_axis[2] - tx * camera.z_axis[2]),
-    )
-    jb = (
-        sy * (camera.y_axis[0] - ty * camera.z_axis[0]),
-        sy * (camera.y_axis[1] - ty * camera.z_axis[1]),
-        sy * (camera.y_axis[2] - ty * camera.z_axis[2]),
-    )
-    return ja, jb
+def jacobian_row(s, axis, t, z_axis):
+    """Row of J·R: px by which u or v moves per world unit of the mean; s: focal length / z, t: tan of a clamped ray."""
+    return s * (axis[0] - t * z_axis[0]), s * (axis[1] - t * z_axis[1]), s * (axis[2] - t * z_axis[2])
 
 
 @kernel(inline=True)
@@ -108,9 +160,7 @@ def covariance_2d(p, q, eps2d):
 
     det = |p × q|² + eps (|p|² + |q|²) + eps²: sums of squares only, where a·c − b² would cancel for needles.
     """
-    pp = p[0] * p[0] + p[1] * p[1] + p[2] * p[2]
-    qq = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
-    b = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+    pp, qq, b = dot(p, p), dot(q, q), dot(p, q)
     k0 = p[1] * q[2] - p[2] * q[1]
     k1 = p[2] * q[0] - p[0] * q[2]
     k2 = p[0] * q[1] - p[1] * q[0]
@@ -150,29 +200,17 @@ def footprint_of(gathered, raw, camera):
     mean = gathered_columns(gathered, MEANS_AT)
     x, y, z = camera_point(mean, camera)
     rz = divide(ONE, z)
-    tx, ty = clamped_ray(x, y, rz, camera)
-    ja, jb = jacobian_rows(tx, ty, rz, camera)
+    left, right, top, bottom = ray_limits(camera)
+    tx, ty = minimum(maximum(x * rz, left), right), minimum(maximum(y * rz, top), bottom)
+    ja = jacobian_row(rz * camera.fx, camera.x_axis, tx, camera.z_axis)
+    jb = jacobian_row(rz * camera.fy, camera.y_axis, ty, camera.z_axis)
     p_unit, q_unit = along_axes(ja, axes), along_axes(jb, axes)
     p = (p_unit[0] * s0, p_unit[1] * s1, p_unit[2] * s2)
     q = (q_unit[0] * s0, q_unit[1] * s1, q_unit[2] * s2)
     a, b, c, det = covariance_2d(p, q, camera.eps2d)
+    scales, point, covariance = (s0, s1, s2), (x, y, z), (a, b, c)
     return Footprint(
-        mean,
-        (s0, s1, s2),
-        axes,
-        quat,
-        per_length,
-        (x, y, z),
-        rz,
-        (tx, ty),
-        ja,
-        jb,
-        p_unit,
-        q_unit,
-        p,
-        q,
-        (a, b, c),
-        det,
+        mean, scales, axes, quat, per_length, point, rz, (tx, ty), ja, jb, p_unit, q_unit, p, q, covariance, det
     )
 
 

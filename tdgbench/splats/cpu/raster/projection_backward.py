@@ -11,23 +11,42 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tdgbench.splats.columns import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
-from tdgbench.splats.cpu.adam import NO_STEP, AdamStep, step_row
+from tdgbench.splats.cpu.adam import NO_STEP, AdamStep, prefetch_gaussian, step_row
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blend_backward import MOMENTS
 from tdgbench.splats.cpu.raster.ewa_gradient import ellipse_gradient, outer, point_gradient, quaternion_gradient
-from tdgbench.splats.cpu.raster.parameters import GATHERED, collect, gathered_column
-from tdgbench.splats.cpu.raster.projection import footprint_of
+from tdgbench.splats.cpu.raster.projection import GATHERED, collect, footprint_of
 from tdgbench.splats.cpu.raster.sh_registers import direction_gradient, view_direction, write_basis
-from tdgbench.splats.cpu.raster.slot_sums import BATCH, SLOT, Batch, fill_batch, turn_sums
 from tdgbench.splats.cpu.raster.types import CHANNELS, FLOATS, OPACITY, RADIUS, GradientArrays
-from tdgbench.splats.cpu.simd.memory import aligned_floats, gather, load, put_column, store, turn_block
-from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, greater, select
+from tdgbench.splats.cpu.simd.memory import (
+    aligned_floats,
+    gather,
+    load,
+    load_anywhere,
+    prefetch,
+    prefetch_columns,
+    prefetch_row,
+    put_column,
+    store,
+    turn_block,
+)
+from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, greater, is_nonzero, lane_bits, select
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, StatisticsArrays, add_length
+from tdgbench.splats.gaussians import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
 IMAGE_U, IMAGE_V, IMAGE_RADIUS, IMAGE_ABSOLUTE_U, IMAGE_ABSOLUTE_V = range(5)  # registers of `image`
+SLOT = 16  # floats: a slot of six moments, up to four channels and two absolute sums, in whole registers
+BATCH = 4 * LANES  # splats whose memory is fetched before it is read
+
+
+class Batch(NamedTuple):
+    """Splats with a gradient."""
+
+    sums: np.ndarray  # (BATCH · SLOT,) float32: sums over each splat's slots
+    splat_ids: np.ndarray  # (BATCH,) int32
+    gaussian_ids: np.ndarray  # (BATCH,) int32
 
 
 class FusedStep(NamedTuple):
@@ -62,15 +81,10 @@ def projection_backward(first, count, parameters, channels, camera, splats, slot
     Arguments are of the types that have their names. rows: GradientArrays, written from `first` on; or step: FusedStep,
     taken where it is active.
     """
-    scratch = GradientScratch(
-        aligned_floats(GATHERED * LANES),
-        aligned_floats(SLOT * LANES),
-        aligned_floats(16 * LANES),
-        aligned_floats(16 * LANES),
-        aligned_floats(GATHERED * LANES),
-        aligned_floats(5 * LANES),
-        aligned_floats(GATHERED * LANES),
-    )
+    basis, pull, image = aligned_floats(16 * LANES), aligned_floats(16 * LANES), aligned_floats(5 * LANES)
+    gathered, gradient = aligned_floats(GATHERED * LANES), aligned_floats(GATHERED * LANES)
+    totals, out = aligned_floats(SLOT * LANES), aligned_floats(GATHERED * LANES)
+    scratch = GradientScratch(gathered, totals, basis, pull, gradient, image, out)
     batch = Batch(aligned_floats(BATCH * SLOT), np.zeros(BATCH, np.int32), np.zeros(BATCH, np.int32))
     n_bases = (channels.degree + 1) * (channels.degree + 1) if channels.degree >= 0 else 1
     colors = n_bases * channels.colors
@@ -79,7 +93,8 @@ def projection_backward(first, count, parameters, channels, camera, splats, slot
         filled, r = fill_batch(batch, r, first + count, splats, slots, parameters, channels, step)
         for k in range(0, filled, LANES):
             collect(parameters, batch.gaussian_ids, k, colors, scratch.gathered)
-            turn_sums(batch, k, scratch.totals)
+            for c in range(0, SLOT, LANES):
+                turn_block(batch.sums, k * SLOT + c, SLOT, scratch.totals, c * LANES, LANES)
             write_gradient(parameters.raw, channels, camera, splats.values, batch.splat_ids, k, scratch)
             if step.active:
                 step_group(batch.gaussian_ids, k, min(filled - k, LANES), scratch, step)
@@ -147,11 +162,10 @@ def write_gradient(raw, channels, camera, splats, splat_ids, k, scratch):
     if raw:
         g_scales = (g_scales[0] * scales[0], g_scales[1] * scales[1], g_scales[2] * scales[2])
     put_three(out, SCALES_AT, g_scales)
-    dw, dx, dy, dz = quaternion_gradient(
-        footprint.quat, footprint.per_length, outer(footprint.ja, footprint.jb, gp, gq)
-    )
-    store(out, QUATS_AT * LANES, dw)
-    put_three(out, QUATS_AT + 1, (dx, dy, dz))
+    rows = outer(footprint.ja, footprint.jb, gp, gq)
+    g_w, g_xyz = quaternion_gradient(footprint.quat, footprint.per_length, rows)
+    store(out, QUATS_AT * LANES, g_w)
+    put_three(out, QUATS_AT + 1, g_xyz)
 
     gx, gy, gz = point_gradient(footprint, gp, gq, g_mean2d, camera)
     if channels.depth:
@@ -194,13 +208,63 @@ def harmonics_gradient(g_mean, mean, channels, camera, splats, splat_ids, k, scr
         for b in range(n_bases):
             at = b * channels.colors + c
             store(scratch.gradient, (COLORS_AT + at) * LANES, load(scratch.basis, b * LANES) * g)
-            coefficient = gathered_column(scratch.gathered, COLORS_AT + at)
+            coefficient = load(scratch.gathered, (COLORS_AT + at) * LANES)
             store(scratch.pull, b * LANES, load(scratch.pull, b * LANES) + coefficient * g)
     gx, gy, gz = g_mean
     if channels.degree > 0:
         gdx, gdy, gdz = direction_gradient(vx, vy, vz, channels.degree, scratch.pull)
-        dot = gdx * vx + gdy * vy + gdz * vz
-        gx = gx + (gdx - dot * vx) * per_distance
-        gy = gy + (gdy - dot * vy) * per_distance
-        gz = gz + (gdz - dot * vz) * per_distance
+        along = gdx * vx + gdy * vy + gdz * vz
+        gx = gx + (gdx - along * vx) * per_distance
+        gy = gy + (gdy - along * vy) * per_distance
+        gz = gz + (gdz - along * vz) * per_distance
     return gx, gy, gz
+
+
+@kernel(inline=True)
+def fill_batch(batch, r, end, splats, slots, parameters, channels, step):
+    """Fill the batch from splats [r, end); returns the number of splats in it and the first one that was not looked at.
+
+    A batch that ends within a register is filled up with its last splat. What will be read of a Gaussian is prefetched;
+    the arguments are those of `projection_backward`.
+    """
+    floats, filled = MOMENTS + channels.colors + channels.depth + 2 * channels.absgrad, 0
+    pairs, written, values = splats.pairs, slots.written, slots.values
+    while r < end and filled < BATCH:
+        low, high = broadcast(F(0)), broadcast(F(0))  # high: beyond the first register
+        for slot in range(pairs[U(r), U(0)], pairs[U(r), U(1)]):
+            if written[U(slot)]:
+                at = U(slot) * U(floats)
+                low = low + load_anywhere(values, at)
+                if LANES < SLOT:
+                    high = high + load_anywhere(values, at + U(LANES))
+        found = lane_bits(is_nonzero(low))
+        if LANES < SLOT:
+            found |= lane_bits(is_nonzero(high)) << U(LANES)
+        if found & ((U(1) << U(floats)) - U(1)) != U(0):
+            at = U(filled * SLOT)
+            store(batch.sums, at, low)
+            if LANES < SLOT:
+                store(batch.sums, at + U(LANES), high)
+            batch.splat_ids[U(filled)] = r
+            gaussian = splats.gaussian_ids[U(r)]
+            batch.gaussian_ids[U(filled)] = gaussian
+            prefetch_parameters(parameters, channels, step, np.int64(gaussian))
+            filled += 1
+        r += 1
+    if filled > 0:
+        for lane in range(filled, (filled + LANES - 1) // LANES * LANES):
+            batch.splat_ids[U(lane)] = batch.splat_ids[U(filled - 1)]
+            batch.gaussian_ids[U(lane)] = batch.gaussian_ids[U(filled - 1)]
+    return filled, r
+
+
+@kernel(inline=True)
+def prefetch_parameters(parameters, channels, step, i):
+    """Prefetch what will be read of Gaussian i."""
+    if not step.active:
+        n_bases = (channels.degree + 1) * (channels.degree + 1) if channels.degree >= 0 else 1
+        prefetch_columns(parameters.values, i, parameters.stride, 0, COLORS_AT + n_bases * channels.colors)
+    else:
+        prefetch_gaussian(step.step.rows, i)
+        prefetch_row(step.step.rows.bounds, U(i))
+        prefetch(step.statistics.grad_sum, U(i))

@@ -1,4 +1,4 @@
-"""Data types that kernels of the two passes exchange.
+"""Input of the kernels: Gaussians, camera and options; and the data types that the two passes exchange.
 
 Arrays are cut into spans (first, count), one per thread; the rows between spans are unused.
 """
@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
-from tdgbench.splats.blending import Blending
-from tdgbench.splats.cpu.raster.source import Span
-from tdgbench.splats.cpu.scratch import Workspace
+from tdgbench.splats.cpu.adam import NO_STALE, Stale
+from tdgbench.splats.cpu.scratch import Workspace, empty_rows
+from tdgbench.splats.view import Blending
 
 # Layout of a splat, a projected Gaussian as 16 floats, one cache line. U_, V_: image mean in px, counted from the first
 # pixel of the box, which keeps its digits. A_, B_, C_ and LOG2_OPACITY: log2(alpha) = log2(opacity) + A dx² + B dx dy
@@ -22,10 +24,38 @@ from tdgbench.splats.cpu.scratch import Workspace
 U_, V_, A_, B_, C_, LOG2_OPACITY, OPACITY, CHANNELS = range(8)
 FIRST_X, LAST_X, FIRST_Y, LAST_Y, RADIUS = range(11, 16)  # box in which alpha ≥ 1/255 and screen radius, whole px
 FLOATS = 16
-
+BOUNDS = 4  # floats of a row's bounds: mean and largest log scale
 MAX_CAMERAS = 1024  # packed ones that are kept
 
+Span = tuple[int, int]  # first, count
 Triple = tuple[np.float32, np.float32, np.float32]
+
+
+class Parameters(NamedTuple):
+    """Rows of N Gaussians, `stride` floats each."""
+
+    values: np.ndarray  # (N · stride,) float32; a cache line beyond may be read
+    stride: int
+    raw: bool  # before activation: scales are natural logarithms, opacities are logits
+
+
+class Bounds(NamedTuple):
+    """Bounds that culling tests: mean and largest deviation. The true ones may exceed them by a tolerance."""
+
+    values: np.ndarray  # (N · BOUNDS,) float32: mean, and largest standard deviation, world units, or its logarithm
+    raw: bool  # whether it is the natural logarithm
+    tolerance: np.float32  # world units between a true mean and that of `values`
+    growth: np.float32  # by how much the logarithm of a true deviation may exceed that of `values`
+
+
+@dataclass(frozen=True)
+class GaussianSource:
+    """N Gaussians to render."""
+
+    count: int
+    parameters: Parameters
+    bounds: Bounds
+    stale: Stale = NO_STALE  # deferred steps, applied to candidates before their parameters are read
 
 
 class PackedCamera(NamedTuple):
@@ -51,7 +81,7 @@ class PackedCamera(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Constants of `tdgbench.splats.blending.Blending`; the numbers are float32."""
+    """Constants of `Blending`; the numbers are float32."""
 
     max_alpha: np.float32
     min_alpha: np.float32
@@ -132,7 +162,7 @@ class GradientArrays(NamedTuple):
     """Gradients of some Gaussians, a row each."""
 
     gaussian_ids: np.ndarray  # (capacity,) int32
-    values: np.ndarray  # (capacity, columns) float32, columns as in `tdgbench.splats.columns`
+    values: np.ndarray  # (capacity, columns) float32, columns as in `tdgbench.splats.gaussians`
     image: np.ndarray  # (capacity, 3 or 5) float32: d/du, d/dv per px, screen radius in px; Σ |d/du|, Σ |d/dv| per px
 
 
@@ -151,13 +181,26 @@ class ForwardPass:
     workspace: Workspace  # holds the arrays above
 
 
-@dataclass
-class GradientRows:
-    """Gradients of the Gaussians that some pixel depends on."""
+def source_of_arrays(arrays: Sequence[np.ndarray]) -> GaussianSource:
+    """Return the source of means (N, 3), quats (N, 4), scales (N, 3), opacities (N,) and colors (N, …), activated."""
+    parts = [torch.from_numpy(array).reshape(len(array), math.prod(array.shape[1:])) for array in arrays]
+    values = empty_rows(len(parts[0]), sum(part.shape[1] for part in parts))
+    torch.cat(parts, dim=1, out=torch.from_numpy(values))  # NumPy takes twice as long
+    largest = functools.reduce(np.maximum, arrays[2].T)
+    bounds = np.concatenate([arrays[0], largest[:, None]], axis=1)
+    return source_of_rows(values, bounds, 0.0, 0.0, raw=False)
 
-    spans: list[Span]
-    arrays: GradientArrays
-    workspace: Workspace  # holds the arrays
+
+def source_of_rows(
+    values: np.ndarray, bounds: np.ndarray, tolerance: float, growth: float, stale: Stale = NO_STALE, raw: bool = True
+) -> GaussianSource:
+    """Return the source of rows (N, columns), by default before activation.
+
+    values: a cache line beyond them may be read, see `empty_rows`. bounds (N, 4): mean and largest scale (raw: its
+    logarithm), each as of the last update of the bounds.
+    """
+    tested = Bounds(bounds.reshape(-1), raw, np.float32(tolerance), np.float32(growth))
+    return GaussianSource(len(values), Parameters(values.reshape(-1), values.shape[1], raw), tested, stale)
 
 
 def pack_camera(viewmat, K, width: int, height: int, near_plane: float, far_plane: float, eps2d: float) -> PackedCamera:

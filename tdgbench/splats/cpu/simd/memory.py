@@ -12,7 +12,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.simd.registers import BITS, FLOATS, LANES, vec
+from tdgbench.splats.cpu.simd.registers import BITS, FLOATS, LANES, call_llvm, vec
 
 U = np.uint64
 LINE = 16  # floats of a cache line
@@ -129,10 +129,7 @@ def prefetch_row(typing_context, array, row):
 
 
 def _call_prefetch(builder, pointer):
-    name = "llvm.prefetch.p0"
-    signature = ir.FunctionType(ir.VoidType(), [_POINTER, _INDEX, _INDEX, _INDEX])
-    function = builder.module.globals.get(name) or ir.Function(builder.module, signature, name)
-    builder.call(function, [pointer, _INDEX(0), _INDEX(3), _INDEX(1)])
+    call_llvm(builder, "llvm.prefetch.p0", ir.VoidType(), pointer, _INDEX(0), _INDEX(3), _INDEX(1))
 
 
 @kernel(inline=True)

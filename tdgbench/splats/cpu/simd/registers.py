@@ -2,7 +2,8 @@
 
 Numba's auto-vectoriser is fragile (a harmless edit can cost a factor of six); an LLVM vector type is not. The same
 source becomes AVX-512, AVX2, SSE or NEON by the host's target. `vec` mixes with float32 scalars and `doubles` with
-float64 ones in +, - and *; comparisons of `vec` give a `mask`, which `select` consumes.
+float64 ones in +, - and *; comparisons of `vec` give a `mask`, which `select` consumes. Sums over lanes have a fixed
+order.
 """
 
 from __future__ import annotations
@@ -24,8 +25,12 @@ FLOATS = ir.VectorType(ir.FloatType(), LANES)
 DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
 BITS = ir.VectorType(ir.IntType(32), LANES)
 _FLAGS = ir.VectorType(ir.IntType(1), LANES)
+_INDEX = ir.IntType(32)
 FAST = ("contract", "nsz", "nnan", "arcp")
 WITHOUT_SIGN, SIGN, INFINITY = 2**31 - 1, -(2**31), 0x7F800000  # bits of a float
+# 2^x = 2^n 2^r, r in [-1/2, 1/2]: minimax polynomial of 2^r to 2.5e-7 relative, from the highest power down.
+EXP2 = (0.00132764718, 0.00967554133, 0.0555071327, 0.240221197, 0.693146967, 1.00000007)
+ROOT_HALF = 0x3F3504F3  # the bits of √½
 
 
 class VectorType(types.Type):
@@ -59,6 +64,13 @@ def _broadcast(builder, scalar):
     empty = ir.Constant(ir.VectorType(scalar.type, LANES), ir.Undefined)
     first = builder.insert_element(empty, scalar, ir.IntType(32)(0))
     return builder.shuffle_vector(first, empty, bits(0))
+
+
+def call_llvm(builder, name: str, result: ir.Type, *operands):
+    """Call an intrinsic function of LLVM."""
+    signature = ir.FunctionType(result, [operand.type for operand in operands])
+    known = builder.module.globals.get(name)
+    return builder.call(known or ir.Function(builder.module, signature, name), operands)
 
 
 def on_registers(result: types.Type, emit: Callable, documentation: str = ""):
@@ -151,12 +163,8 @@ absolute = on_registers(
 
 
 def _elementwise(name: str, documentation: str):
-    def emit(builder, x):
-        full = f"llvm.{name}.v{LANES}f32"
-        known = builder.module.globals.get(full)
-        return builder.call(known or ir.Function(builder.module, ir.FunctionType(FLOATS, [FLOATS]), full), [x])
-
-    return on_registers(vec, emit, documentation)
+    full_name = f"llvm.{name}.v{LANES}f32"
+    return on_registers(vec, lambda builder, x: call_llvm(builder, full_name, FLOATS, x), documentation)
 
 
 square_root = _elementwise("sqrt", "√x, correctly rounded.")
@@ -173,3 +181,135 @@ reciprocal = on_registers(
 )
 widen = on_registers(doubles, lambda builder, x: builder.fpext(x, DOUBLES), "The floats of a register as doubles.")
 narrow = on_registers(vec, lambda builder, x: builder.fptrunc(x, FLOATS), "Doubles rounded to floats.")
+
+
+def _power_of_two(builder, x, coefficients):
+    """2^x for |x| < 126, given the polynomial's coefficients as registers; out of range is garbage to be masked."""
+    exact = ("contract",)
+    magic = constant(12582912.0)  # 1.5 * 2^23: adding it rounds to the nearest whole number
+    shifted = builder.fadd(x, magic)
+    exponent = builder.shl(builder.bitcast(shifted, BITS), bits(23))
+    rest = builder.fsub(x, builder.fsub(shifted, magic))
+    square = builder.fmul(rest, rest)
+    pairs = [
+        builder.fadd(builder.fmul(high, rest, flags=exact), low, flags=exact)
+        for high, low in zip(coefficients[::2], coefficients[1::2], strict=True)
+    ]
+    result = pairs[0]
+    for pair in pairs[1:]:
+        result = builder.fadd(builder.fmul(result, square, flags=exact), pair, flags=exact)
+    return builder.bitcast(builder.add(builder.bitcast(result, BITS), exponent), FLOATS)
+
+
+exp2 = on_registers(
+    vec,
+    lambda builder, x: _power_of_two(builder, x, [constant(value) for value in EXP2]),
+    "2^x to a relative error of 2.5e-7 for |x| < 126; out of range is garbage that the caller masks.",
+)
+exp2_by = on_registers(
+    vec,
+    lambda builder, x, a, b, c, d, e, f: _power_of_two(builder, x, (a, b, c, d, e, f)),
+    "As `exp2`, with its coefficients as operands: the compiler broadcasts a constant at every use.",
+)
+
+
+def _log2(builder, x):
+    """x = 2^e m with m in [√½, √2);  log2 m = 2 / ln 2 · atanh(s), s = (m − 1) / (m + 1), as a series to s⁹."""
+    exact = ("contract",)
+    exponent = builder.ashr(builder.sub(builder.bitcast(x, BITS), bits(ROOT_HALF)), bits(23))
+    m = builder.bitcast(builder.sub(builder.bitcast(x, BITS), builder.shl(exponent, bits(23))), FLOATS)
+    one = constant(1.0)
+    s = builder.fdiv(builder.fsub(m, one), builder.fadd(m, one))
+    square = builder.fmul(s, s)
+    series = constant(1 / 9)
+    for k in (7, 5, 3):
+        series = builder.fadd(builder.fmul(series, square, flags=exact), constant(1 / k), flags=exact)
+    scaled = builder.fmul(s, constant(2.8853900817779268))
+    tail = builder.fmul(builder.fmul(series, square), scaled)
+    return builder.fadd(builder.sitofp(exponent, FLOATS), builder.fadd(scaled, tail))
+
+
+log2 = on_registers(
+    vec, _log2, "log2 of a positive, normal x, to an absolute error of 1e-7 near 1 and a relative one of 2e-7 beyond."
+)
+
+
+def _shuffle(builder, a, b, index):
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_INDEX, len(index)), index))
+
+
+def _is_any_bit_set(builder, x, bits: int):
+    whole = ir.IntType(bits)
+    return builder.icmp_unsigned("!=", builder.bitcast(x, whole), whole(0))
+
+
+any_positive = on_registers(
+    types.boolean,
+    lambda builder, x: _is_any_bit_set(builder, builder.fcmp_ordered(">", x, constant(0.0)), LANES),
+    "True if any lane is above zero.",
+)
+any_bit = on_registers(
+    types.boolean, lambda builder, x: _is_any_bit_set(builder, x, 32 * LANES), "True unless all bits are zero."
+)
+lane_bits = on_registers(
+    types.uint64,
+    lambda builder, x: builder.zext(builder.bitcast(x, ir.IntType(LANES)), ir.IntType(64)),
+    "A mask as a number: bit l is lane l.",
+)
+
+
+def _lane_sum(builder, value):
+    width = LANES // 2
+    while width >= 1:
+        low, high = list(range(width)), list(range(width, 2 * width))
+        value = builder.fadd(_shuffle(builder, value, value, low), _shuffle(builder, value, value, high))
+        width //= 2
+    return builder.extract_element(value, _INDEX(0))
+
+
+lane_sum = on_registers(types.float32, _lane_sum, "The sum over the lanes of a register of floats.")
+
+
+def _sum_tree(builder, vectors):
+    """Lane sums of a power of two of vectors in one vector, and the lane where each ends up."""
+    width, labels = LANES // 2, [[i] * LANES for i in range(len(vectors))]
+    while len(vectors) > 1:
+        low, high = [], []
+        for start in range(0, LANES, 2 * width):
+            for base in (start, LANES + start):
+                low += range(base, base + width)
+                high += range(base + width, base + 2 * width)
+        halves = range(0, len(vectors), 2)
+        labels = [[(labels[i] + labels[i + 1])[k] for k in low] for i in halves]
+        vectors = [
+            builder.fadd(
+                _shuffle(builder, vectors[i], vectors[i + 1], low), _shuffle(builder, vectors[i], vectors[i + 1], high)
+            )
+            for i in halves
+        ]
+        width //= 2
+    total = vectors[0]
+    while width >= 1:
+        total = builder.fadd(total, _shuffle(builder, total, total, [i ^ width for i in range(LANES)]))
+        width //= 2
+    return total, [labels[0].index(i) for i in range(max(labels[0]) + 1)]
+
+
+def _lane_sums(builder, *vectors):
+    total, places = _sum_tree(builder, list(vectors))
+    return _shuffle(builder, total, total, places + [0] * (LANES - len(vectors)))
+
+
+# One shuffle tree instead of one for each register. The sums are in the first lanes of the result.
+lane_sums_of_4 = on_registers(vec, lambda builder, a, b, c, d: _lane_sums(builder, a, b, c, d))
+lane_sums_of_8 = on_registers(vec, lambda builder, a, b, c, d, e, f, g, h: _lane_sums(builder, a, b, c, d, e, f, g, h))
+
+
+@intrinsic
+def lowest(typing_context, number):
+    """Number of the lowest bit of a number above zero."""
+
+    def generate(context, builder, signature, args):
+        return call_llvm(builder, "llvm.cttz.i64", ir.IntType(64), args[0], ir.IntType(1)(1))
+
+    return types.uint64(types.uint64), generate

@@ -5,9 +5,8 @@ import pytest
 import torch
 
 from tdgbench.splats import rasterization
-from tdgbench.splats.cpu.raster.culling import _pack, cull
-from tdgbench.splats.cpu.raster.source import Bounds
-from tdgbench.splats.cpu.raster.types import pack_camera
+from tdgbench.splats.cpu.raster.culling import cull
+from tdgbench.splats.cpu.raster.types import Bounds, pack_camera
 from tdgbench.splats.cpu.simd.registers import LANES
 from tests.helpers.gaussians import random_gaussians, turned_camera
 
@@ -57,35 +56,3 @@ def test_tolerance_and_growth_cover_what_may_have_moved():
     assert exact - set(candidates_of(means, scales, camera).tolist())  # without a tolerance some would be missed
     radii = rasterization(moved, parameters[1], grown, *parameters[3:], views, Ks, width, height)[2]["radii"][0]
     assert set(torch.nonzero(radii).squeeze(1).tolist()) <= set(allowed.tolist())
-
-
-def test_rows_have_the_candidates_of_arrays():
-    """Of equal deviations along all axes; the last register is not full."""
-    parameters, (views, Ks) = random_gaussians(399, 3, None, 1), turned_camera(50, 30)
-    means, scales = parameters[0] * 3, parameters[2].amax(dim=1, keepdim=True).repeat(1, 3)
-    camera = pack_camera(views[0], Ks[0], 50, 30, 0.2, 1e10, 0.3)
-    by_rows = candidates_of(means, scales.log(), camera, 0.1, raw=True)
-    by_arrays = candidates_of(means, scales, camera, 0.1)
-    assert 0 < len(by_rows) < 399 and len(set(by_rows.tolist()) ^ set(by_arrays.tolist())) <= 2  # rounding of exp
-
-
-def test_nothing_in_sight():
-    means, scales = torch.full((3, 3), -5.0), torch.full((3, 3), 0.1)
-    (view,), (K,) = turned_camera(20, 20)
-    assert len(candidates_of(means, scales, pack_camera(view, K, 20, 20, 0.2, 1e10, 0.3))) == 0
-
-
-def test_gaps_between_pieces_are_closed():
-    candidates = np.full(8 * LANES, -1, np.int32)
-    candidates[:5] = np.arange(5)
-    candidates[4 * LANES : 5 * LANES + 3] = np.arange(100, 100 + LANES + 3)
-    spans = _pack(candidates, [(0, 5), (4 * LANES, LANES + 3)])
-    total = LANES + 8
-    assert np.array_equal(candidates[:total], [*range(5), *range(100, 100 + LANES + 3)])
-    assert (candidates[total : 2 * LANES] == candidates[total - 1]).all()
-    assert sum(n for _, n in spans) == total and all(first % LANES == 0 for first, _ in spans)
-    assert [first for first, _ in spans] == np.cumsum([0, *[n for _, n in spans[:-1]]]).tolist()
-
-
-def test_no_candidates():
-    assert _pack(np.zeros(LANES, np.int32), [(0, 0)]) == [(0, 0)]

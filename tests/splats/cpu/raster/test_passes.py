@@ -2,15 +2,14 @@ import numpy as np
 import torch
 
 from tdgbench.splats import Gaussians
-from tdgbench.splats.columns import COLORS_AT
-from tdgbench.splats.cpu.raster import blocks
 from tdgbench.splats.cpu.raster.passes import blend_backward, forward
-from tdgbench.splats.cpu.raster.source import source_of_rows
+from tdgbench.splats.cpu.raster.types import source_of_rows
+from tdgbench.splats.gaussians import COLORS_AT
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
 from tests.helpers.gaussians import RATES, random_gaussians, turned_camera
-from tests.splats.cpu.raster.forward_passes import members, settings_for, source_of
+from tests.splats.cpu.raster.forward_passes import settings_for, source_of
 
 
 def test_only_candidates_are_updated():
@@ -46,31 +45,6 @@ def test_only_candidates_are_updated():
     assert not torch.equal(*(rows[~candidates] for rows in values))
 
 
-def test_the_forward_pass_finds_the_blocks_in_which_a_gaussian_has_weight():
-    """One small Gaussian before forty opaque layers; each pixel stops at a transmittance of 1e-4."""
-    layers = 40
-    means = torch.zeros(1 + layers, 3)
-    means[:, 2] = torch.linspace(1, 3, 1 + layers)
-    means[0, :2] = torch.tensor([-0.1, 0.2])
-    scales = torch.full((1 + layers, 3), 50.0)
-    scales[0] = 0.02
-    quats = torch.tensor([[1.0, 0, 0, 0]]).repeat(1 + layers, 1)
-    opacities = torch.full((1 + layers,), 0.9)
-    opacities[0] = 0.5
-    K = torch.tensor([[20.0, 0, 8], [0, 20.0, 8], [0, 0, 1]])
-    parameters = (means, quats, scales, opacities, torch.ones(1 + layers, 1))
-    settings = settings_for((torch.eye(4), K), 16, 16, 1)
-    first = forward(source_of([p[:1] for p in parameters]), settings)
-    rows, columns = np.nonzero(first.images.transmittance < 1)
-    touched = set((rows // blocks.HEIGHT * blocks.ACROSS + columns // blocks.WIDTH).tolist())
-    done = forward(source_of(parameters), settings)
-    visited = done.visits.counts[0]
-    active = [members(int(number)) for number in done.visits.active_blocks[:visited]]
-    assert done.splats.gaussian_ids[done.tiles.splat_ids[0]] == 0 and active[0] == touched and 1 <= len(touched) <= 4
-    assert all(len(some) == blocks.BLOCKS for some in active[1:4]) and not any(active[6:])
-    assert 6 < visited < 1 + layers
-
-
 def test_only_gaussians_that_a_pixel_depends_on_get_rows():
     parameters = random_gaussians(500, 3, None, 1)
     parameters[0][::2, 2] = -5  # behind the camera
@@ -79,9 +53,9 @@ def test_only_gaussians_that_a_pixel_depends_on_get_rows():
     done = forward(source, settings)
     gradient = np.zeros_like(done.images.color)
     gradient[:5] = 1  # of the upper rows only
-    rows = blend_backward(source, settings, done, gradient, None, None).rows()
-    touched = np.concatenate([rows.arrays.gaussian_ids[a : a + n] for a, n in rows.spans])
+    touched, values, _ = (
+        t.numpy() for t in blend_backward(source, settings, done, gradient, None, None).compute().rows()
+    )
     assert 0 < len(touched) < len(np.unique(done.splats.gaussian_ids[done.tiles.splat_ids]))
     assert (touched % 2 == 1).all() and len(set(touched.tolist())) == len(touched)
-    values = np.concatenate([rows.arrays.values[a : a + n] for a, n in rows.spans])
     assert np.abs(values[:, COLORS_AT]).min() > 0 and not values[:, COLORS_AT + 1 :].any()

@@ -4,7 +4,8 @@ import torch
 
 from tdgbench.splats import rasterization
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.raster.tiles import TILE
+from tdgbench.splats.cpu.raster.tiles import SHORT, TILE, UPPER, sort_tiles
+from tdgbench.splats.cpu.raster.types import TileLists
 from tests.helpers.gaussians import random_gaussians, turned_camera
 from tests.splats.cpu.raster.forward_passes import rendered
 
@@ -34,26 +35,32 @@ def test_every_touched_tile_is_listed_from_near_to_far():
     assert len(listed) < 1.25 * len(needed)  # and the lists are tight
 
 
+def sorted_pairs(starts, splat_ids, slots, depths):
+    """Sort pairs, whose splats have depths; returns ids and slots."""
+    pairs = slots.astype(np.uint64) << UPPER | splat_ids.astype(np.uint64)
+    out = TileLists(starts, np.full(len(pairs), -1, np.int32), np.full(len(pairs), -1, np.int32))
+    sort_tiles(pairs, depths.view(np.uint32), int(np.diff(starts).max()), out)
+    return out.splat_ids, out.slots
+
+
+@pytest.mark.parametrize("counts", [[0], [1, 0, 2], [SHORT, SHORT + 1, 0, 5000, 3], [700] * 40])
 @pytest.mark.parametrize("threads", [1, 3])
-def test_gaussians_of_equal_depth_keep_their_order(threads):
-    """Three depths only, and lists too long for a sort by insertion."""
-    parameters, (view, K) = random_gaussians(4000, 7, None, 1), turned_camera(40, 40)
-    parameters[0][:, 2] = torch.tensor([2.0, 3.0, 1.5])[torch.arange(4000) % 3]
+@pytest.mark.parametrize("far", [50, 1e9])
+def test_every_tile_is_sorted_stably(counts, threads, far):
+    rng = np.random.default_rng(0)
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    total = int(starts[-1])
+    depths = np.round(rng.uniform(0.2, 50, total), 1).astype(np.float32)
+    depths[::97] = far
+    splat_ids, slots = (rng.permutation(total).astype(np.int32) for _ in range(2))
     pool.set_threads(threads)
-    found = rendered(parameters, (torch.eye(4).expand_as(view), K), 40, 40)
-    longest = 0
-    for first, last in zip(found.tiles.starts, found.tiles.starts[1:], strict=False):
-        ids = found.splats.gaussian_ids[found.tiles.splat_ids[first:last]]
-        assert np.array_equal(ids, ids[np.lexsort((ids, parameters[0][ids, 2].numpy()))])
-        longest = max(longest, len(ids))
-    assert longest > 300
+    found_ids, found_slots = sorted_pairs(starts, splat_ids, slots, depths)
+    tile = np.repeat(np.arange(len(counts)), counts)
+    order = np.lexsort((np.arange(total), depths[splat_ids], tile))
+    assert np.array_equal(found_ids, splat_ids[order]) and np.array_equal(found_slots, slots[order])
 
 
-def test_no_two_pairs_share_a_slot():
-    found = rendered(random_gaussians(300, 5, None, 1), turned_camera(50, 50), 50, 50)
-    assert len(np.unique(found.tiles.slots)) == len(found.tiles.splat_ids)
-    first, last = found.splats.pairs[found.tiles.splat_ids].T
-    assert (first <= found.tiles.slots).all() and (found.tiles.slots < last).all()
-    assert sum(int(np.diff(found.splats.pairs[a : a + n]).sum()) for a, n in found.splat_spans) == len(
-        found.tiles.splat_ids
-    )
+def test_depths_that_differ_in_every_bit():
+    keys = np.random.default_rng(1).integers(0, 2**32, 3000, dtype=np.uint32)
+    ids = np.arange(3000, dtype=np.int32)
+    assert np.array_equal(sorted_pairs(np.array([0, 3000]), ids, ids, keys)[0], np.argsort(keys, kind="stable"))
