@@ -16,6 +16,7 @@ from tdgbench.splats.cpu.adam import DeferredSteps
 from tdgbench.splats.cpu.losses import minmax
 from tdgbench.splats.cpu.losses.photometric import image_loss
 from tdgbench.splats.cpu.precompile import compiled_alongside
+from tdgbench.splats.cpu.raster.dense import of_rows
 from tdgbench.splats.cpu.raster.passes import blend_backward, forward
 from tdgbench.splats.cpu.raster.types import (
     Channels,
@@ -27,7 +28,7 @@ from tdgbench.splats.cpu.raster.types import (
     source_of_rows,
 )
 from tdgbench.splats.cpu.scratch import empty_rows, free_buffers
-from tdgbench.splats.gaussians import COLORS_AT, GEOMETRY_SIZES, padded
+from tdgbench.splats.gaussians import COLORS_AT, GEOMETRY_SIZES
 from tdgbench.splats.gradients import Gradients, GradientStatistics, Rows, RowSteps, Tolerance
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
@@ -45,13 +46,8 @@ def _tensors(arrays) -> list[Tensor]:
     return [torch.from_numpy(array) for array in arrays]
 
 
-def _spread(rows, gaussian_ids, spans: list[Span], count: int, columns: int | None = None) -> Tensor:
-    """Return (count, columns) with the rows of spans (first, count) at their Gaussians, and 0 elsewhere."""
-    rows, gaussian_ids = np.asarray(rows), np.asarray(gaussian_ids)
-    out = np.zeros((count, columns or rows.shape[1]), rows.dtype)
-    for first, length in spans:
-        out[:, : rows.shape[1]][gaussian_ids[first : first + length]] = rows[first : first + length]
-    return torch.from_numpy(out)
+def _dense(rows, gaussian_ids, spans: list[Span], count: int, width: int) -> Tensor:
+    return torch.from_numpy(of_rows(np.asarray(rows), np.asarray(gaussian_ids), spans, count, [width])[0])
 
 
 class Rasterize(torch.autograd.Function):
@@ -67,7 +63,7 @@ class Rasterize(torch.autograd.Function):
         view = forward(source, settings)
         ids, radii, means2d = view.projected
         to_all = (ids, view.projected_spans, source.count)
-        radii, probe.data = _spread(radii[:, None], *to_all).squeeze(1), _spread(means2d, *to_all)
+        radii, probe.data = _dense(radii[:, None], *to_all, 1).squeeze(1), _dense(means2d, *to_all, 2)
         ctx.saved = (source, settings, view, colors.shape, absgrad)
         ctx.set_materialize_grads(False)
         ctx.mark_non_differentiable(radii)
@@ -77,13 +73,11 @@ class Rasterize(torch.autograd.Function):
     def backward(ctx, grad_color, grad_depth, grad_transmittance, _grad_radii):
         source, settings, view, color_shape, absgrad = ctx.saved
         found = blend_backward(source, settings, view, *_arrays((grad_color, grad_depth, grad_transmittance))).compute()
-        at, columns = (found.index, found.spans, source.count), [*GEOMETRY_SIZES, math.prod(color_shape[1:])]
-        dense = _spread(found.values, *at, padded(sum(columns)))[:, : sum(columns)]
-        means, quats, scales, opacities, colors = dense.split(columns, dim=1)
-        image = _spread(found.image, *at)
+        at, widths = (found.index.numpy(), found.spans, source.count), [*GEOMETRY_SIZES, math.prod(color_shape[1:])]
+        *geometry, opacities, colors = _tensors(of_rows(found.values.numpy(), *at, widths))
         if absgrad is not None:
-            absgrad += image[:, 3:]
-        return means, quats, scales, opacities.squeeze(1), colors.reshape(color_shape), image[:, :2], None, None
+            absgrad += _dense(found.image[:, 3:], *at, 2)
+        return *geometry, opacities.squeeze(1), colors.reshape(color_shape), _dense(found.image, *at, 2), None, None
 
 
 class _RenderRows(torch.autograd.Function):
@@ -144,8 +138,8 @@ class CpuBackend(Backend):
             settings = _settings(camera, channels, -1, RenderOptions())
             view = forward(source, settings)
             found = blend_backward(source, settings, view, *_arrays((maps, None, None))).compute()
-            colors = found.values[:, COLORS_AT : COLORS_AT + channels]
-            return _spread(colors, found.index, found.spans, count), found.all_radii(count)
+            colors = _dense(found.values[:, COLORS_AT:], found.index, found.spans, count, channels)
+            return colors, found.all_radii(count)
 
         return sums
 

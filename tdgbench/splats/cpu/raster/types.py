@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from tdgbench.splats.cpu.adam import NO_STALE, Stale
+from tdgbench.splats.cpu.raster.dense import to_rows
 from tdgbench.splats.cpu.scratch import Workspace, empty_rows
 from tdgbench.splats.view import Blending
 
@@ -183,11 +184,9 @@ class ForwardPass:
 
 def source_of_arrays(arrays: Sequence[np.ndarray]) -> GaussianSource:
     """Return the source of means (N, 3), quats (N, 4), scales (N, 3), opacities (N,) and colors (N, …), activated."""
-    parts = [torch.from_numpy(array).reshape(len(array), math.prod(array.shape[1:])) for array in arrays]
-    values = empty_rows(len(parts[0]), sum(part.shape[1] for part in parts))
-    torch.cat(parts, dim=1, out=torch.from_numpy(values))  # NumPy takes twice as long
-    largest = functools.reduce(np.maximum, arrays[2].T)
-    bounds = np.concatenate([arrays[0], largest[:, None]], axis=1)
+    parts = [array.reshape(len(array), math.prod(array.shape[1:])) for array in arrays]
+    values, bounds = empty_rows(len(parts[0]), sum(part.shape[1] for part in parts)), empty_rows(len(parts[0]), BOUNDS)
+    to_rows(parts, torch.from_numpy(parts[2]).amax(dim=1).numpy(), values, bounds)
     return source_of_rows(values, bounds, 0.0, 0.0, raw=False)
 
 
