@@ -22,8 +22,8 @@ PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "pycolmap", "lpips",
 SAME_BYTES = ("python", "packages", "platform", "cpu", "simd_lanes", "gpu")  # decide a training's bytes; threads do not
 
 
-def describe_environment() -> dict[str, object]:
-    """Return machine and software, for the record."""
+def describe_environment(cells_at_once: int | None = 1) -> dict[str, object]:
+    """Return machine and software, for the record. cells_at_once: of the sweep; None where a queue decides."""
     return {
         "python": platform.python_version(),
         "packages": {name: installed_version(name) for name in PACKAGES} | {"tdgbench": __version__},
@@ -31,6 +31,7 @@ def describe_environment() -> dict[str, object]:
         "cpu": cpu_model(),
         "cores": os.cpu_count(),
         "threads": pool.get_threads(),
+        "cells_at_once": cells_at_once,
         "simd_lanes": LANES,
         "gpu": describe_gpu(),
         "git": git_state(),

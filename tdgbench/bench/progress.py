@@ -28,14 +28,20 @@ class CellProgress:
     names its cell, since several processes may print to one file: one at the start, then at most one a minute. The time
     left is that at the pace since the line before, "at most" while a rule may end the training sooner.
 
-    clock: seconds, for the lines. alone: no other process shows a cell on the same terminal; else lines there, too.
+    clock: seconds, for the lines. cells_at_once: that share the machine, and the terminal, where lines then show each;
+    None where a queue decides.
     """
 
     def __init__(
-        self, console: Console, iterations: int, clock: Callable[[], float] = time.monotonic, alone: bool = True
+        self,
+        console: Console,
+        iterations: int,
+        clock: Callable[[], float] = time.monotonic,
+        cells_at_once: int | None = 1,
     ) -> None:
         self._console, self._iterations, self._clock = console, iterations, clock
-        self._shows_bar = console.is_interactive and alone
+        self.cells_at_once = cells_at_once
+        self._shows_bar = console.is_interactive and cells_at_once == 1
         self._mark: tuple[float, int] | None = None  # time and count from which the pace is measured
         self._reset("")
 

@@ -70,11 +70,11 @@ def _title(cfg: DictConfig, run: CellRun | None) -> str:
 def _run(run: CellRun, held: ExitStack) -> Outcome:
     """Run a cell if it has to; locks are in `held` at the end."""
     cfg, record = run.cfg, run.record
-    record.environment = describe_environment()
+    record.environment = describe_environment(run.progress.cells_at_once)
     check_options(cfg)
     pool.set_threads(cfg.threads)
     torch.set_num_threads(1)  # the kernels use a pool of threads; idle OpenMP workers would slow it down
-    record.environment = describe_environment()  # with these threads
+    record.environment = describe_environment(run.progress.cells_at_once)  # with these threads
     cell = run.identify()
     if not held.enter_context(cell_lock(run.experiment, run.folder)):
         return Outcome("elsewhere", record.title, "another process is running it")
@@ -87,7 +87,7 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
     on_gpu = training_device(training_backend(cfg.backend.name)).type == "cuda"
     if on_gpu:
         torch.cuda.set_device(held.enter_context(exclusive_gpu(visible_gpus())))
-        record.environment = describe_environment()
+        record.environment = describe_environment(run.progress.cells_at_once)
     with PeakMemory(on_gpu) as memory:
         trained = run.train(cell, run.load(cell))
     record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb

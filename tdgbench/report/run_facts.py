@@ -104,8 +104,10 @@ def _machine(record: Record) -> str:
     e = record.environment
     device = ", ".join(map(str, _part(record, "gpu").values())) or "no GPU"
     threads = f"{e.get('threads')} thread{'s' * (e.get('threads') != 1)} a cell"
+    at_once = e.get("cells_at_once")
+    cells = f", {at_once} cells at once" if isinstance(at_once, int) and at_once > 1 else ""
     computer = f"{e.get('cpu') or NOT_STATED}, {e.get('cores')} cores"
-    return f"{computer}, {threads}; {device}; backend {record.backend or 'n/a'}"
+    return f"{computer}, {threads}{cells}; {device}; backend {record.backend or 'n/a'}"
 
 
 def _software(record: Record) -> str:

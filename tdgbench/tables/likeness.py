@@ -25,7 +25,8 @@ COLUMN = "training"  # of main.csv: in what a row's training differs from others
 GROUPS = ("budget", "prior", "skip", "thermal_camera")  # of options, that all methods share
 OF_A_COLUMN = ("method.", "init.")  # options that agree within a column
 OF_A_SCENE = ("scene's files", "image size", "range, °C")  # may differ between the scenes of an average
-MACHINE = {"processor": "cpu", "GPU": "gpu", "threads": "threads"}  # of times: names in `environment` of records
+# Of times: names in `environment` of records.
+MACHINE = {"processor": "cpu", "GPU": "gpu", "threads": "threads", "cells at once": "cells_at_once"}
 OF_SCORES = "metrics."
 NAMED = ("budget", "prior")  # groups whose name stands for all their options
 OWN = {  # options of budgets that a method's file states, by which key; their values in budget=paper if it does not

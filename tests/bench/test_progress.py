@@ -44,7 +44,7 @@ def test_a_bar_shows_loss_psnr_and_count():
 def test_one_line_at_the_start_then_at_most_one_a_minute(clock, terminal):
     out = StringIO()
     console = Console(file=out, width=40, force_terminal=terminal, force_interactive=terminal, no_color=True)
-    progress = CellProgress(console, 1000, clock, alone=not terminal)  # two bars would overwrite one another
+    progress = CellProgress(console, 1000, clock, cells_at_once=1 + terminal)  # two bars would overwrite one another
     progress.begin("tdg on /c")
     progress.phase("load")
     progress.rename("tdg on a/c")

@@ -105,9 +105,10 @@ def test_lengths_of_authors_are_those_of_the_budget_file():
     assert plain == {name: value for name, (_, value) in OWN.items()}
 
 
-def test_threads_split_times_alone(tmp_path):
-    tables = run(tmp_path, {"msmg": {"environment": {"threads": 2}}, "tdg": {"environment": {"threads": 1}}})
-    assert "unlike trainings, of times alone: threads: 2 (MSMG), 1 (TDg)" in tables.notes
+@pytest.mark.parametrize(("key", "name"), [("threads", "threads"), ("cells_at_once", "cells at once")])
+def test_the_machine_splits_times_alone(tmp_path, key, name):
+    tables = run(tmp_path, {"msmg": {"environment": {key: 2}}, "tdg": {"environment": {key: 1}}})
+    assert f"unlike trainings, of times alone: {name}: 2 (MSMG), 1 (TDg)" in tables.notes
     assert bold(tables) == {"tdg"} and not bold(tables, "train_hours")
 
 

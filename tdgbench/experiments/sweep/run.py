@@ -81,8 +81,8 @@ def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
         cores = pool.available_cores()
         if cfg.threads is None:
             cfg.threads = worker_threads(hydra.launcher, cores, plan.cells_with_data)
-        alone = cells_at_once(hydra.launcher, cores, plan.cells_with_data) == 1
-        progress = CellProgress(console(stderr=True), cfg.budget.iterations, alone=alone)
+        at_once = cells_at_once(hydra.launcher, cores, plan.cells_with_data)
+        progress = CellProgress(console(stderr=True), cfg.budget.iterations, cells_at_once=at_once)
         return run_cell(cfg, plan.variant(overrides), progress)
     except Exception as error:
         return Outcome("failed", title or "the cell", error_message(error))
