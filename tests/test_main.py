@@ -77,6 +77,7 @@ def test_a_sweep_runs(tmp_path, data_root, experiment):
     if experiment == "demo":
         assert run.returncode == 0 and "8 cells run" in run.stdout
         records = read_all(tmp_path / "results" / "demo")  # of two workers, in processes of their own
+        assert {record.environment["cells_at_once"] for record in records} == {2}
         assert {r.environment["threads"] for r in records} == {max(1, pool.available_cores() // 2)}
         assert set(main["scene"]) == {"orbit", "night", "turntable", "facade", "Average"}
         assert (main[main["metric"] == "psnr"]["value"] != "n/a").all()
