@@ -13,7 +13,7 @@ import numpy as np
 
 from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.geometry import outlying
+from tdgbench.scenes.outliers import outlying
 
 MAX_STEP = 1e-3  # largest step between float32 coordinates, as a share of the scene's extent
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tdgbench.present.colours import in_colour
 from tdgbench.scenes import Camera
 from tdgbench.scenes.camera import pose_at
-from tdgbench.scenes.geometry import outlying
+from tdgbench.scenes.outliers import outlying
 from tdgbench.view.cells import ViewedCell
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ import pytest
 from tdgbench.bench.init import CubeAroundCameras
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.scenes.camera import pose_at
-from tdgbench.scenes.geometry import MAX_ERROR, doubts_of, near_origin, outlying, pixel_errors, sight_of
+from tdgbench.scenes.geometry import MAX_ERROR, doubts_of, near_origin, pixel_errors
+from tdgbench.scenes.outliers import outlying, sight_of
 
 FORWARD = np.eye(3)
 BACK = np.diag([-1.0, 1.0, -1.0])  # about the vertical
