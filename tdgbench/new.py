@@ -25,7 +25,9 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("name", help="of the method and of its module, such as my_method")
     name: str = parser.parse_args(arguments).name
     if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower():
-        raise ValueError(f"{name!r} is no name of a module: use lower-case letters, digits and underscores")
+        raise ValueError(
+            f"{name!r} is no name of a module: begin with a lower-case letter, then also digits and underscores"
+        )
     if name in choices("method") or importlib.util.find_spec(name) is not None:
         raise ValueError(f"{name} is a method of tdgbench, or a module of Python: choose another name")
     paths = {template: Path(form.format(name)) for template, form in FILES.items()}

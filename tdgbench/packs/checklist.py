@@ -41,7 +41,7 @@ def checklist(experiment: Path) -> list[Item]:
         Item("the files are those of the records", of(lambda cell: any(cell.file_problems(others=False)))),
         Item("one protocol", ", ".join(protocols) if len(protocols) != 1 else ""),
         Item("machine and packages are stated", of(_states_no_machine)),
-        Item("a commit without changes made it", of(_states_no_commit)),
+        Item("a commit of tdgbench without changes made it", of(_states_no_commit)),
         Item("a log of each training", of(lambda cell: not (cell.folder / LOG_FILE).exists())),
     ]
 

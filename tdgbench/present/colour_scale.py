@@ -46,13 +46,14 @@ class ColourScale(NamedTuple):
     def sentence(self) -> str:
         """The scales in words.
 
-        >>> ColourScale(ends=("2", "9"), error_end="1.1 °C", unit=" °C", colder=0.2).sentence
-        'Colours span 2 to 9 °C (20.0 % of the ground truth is below, 0.0 % above), errors 0 to 1.1 °C.'
+        >>> ColourScale(ends=("2", "9"), error_end="1.1 °C", unit=" °C", colder=0.2).sentence  # doctest: +ELLIPSIS
+        'Colours span 2 to 9 °C (20.0 % of the ground truth is below, 0.0 % above). Errors from 0 to 1.1 °C; ...'
         """
+        errors = f"Errors from 0 to {self.error_end}; larger ones are drawn so."
         if self.ends is None:
-            return f"Colours are those of the camera's palette, without a scale. Errors span 0 to {self.error_end}."
+            return f"Colours are those of the camera's palette, without a scale. {errors}"
         beyond = f"{100 * self.colder:.1f} % of the ground truth is below, {100 * self.warmer:.1f} % above"
-        return f"Colours span {self.span} ({beyond}), errors 0 to {self.error_end}."
+        return f"Colours span {self.span} ({beyond}). {errors}"
 
 
 def colour_scale(

@@ -108,10 +108,10 @@ def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:
     A record that cannot be read gives n/a with the reason, and is one of the results' `problems`; so is a mean of
     unlike trainings. Raises ValueError for an empty folder, naming it, and for columns that no table has.
     """
+    results = read_results(experiment)  # whose own metrics are columns, too
     unknown = [name for name in options.columns if name not in (*COLUMNS, *EXTRA)]
     if unknown:
         raise ValueError(f"no column {', '.join(unknown)}; known are {', '.join((*COLUMNS, *EXTRA))}")
-    results = read_results(experiment)
     tables = _ablation(results, options) if results.plan.table == "ablation" else _main(results, options)
     _write(tables)
     return tables

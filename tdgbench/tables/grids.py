@@ -138,7 +138,8 @@ def _cell(row: Any, published: Any) -> GridCell:
     if not np.isnan(row.std):
         text += f" ± {as_text(row.metric, row.std, row.scene)}"
     ends = [getattr(row, end, np.nan) for end in ("ci95_low", "ci95_high") if row.metric != HOURS.name]
-    span = " to ".join(as_text(row.metric, end, row.scene) for end in ends if not np.isnan(end))
+    has_width = len(ends) == 2 and ends[0] < ends[1]  # none of what is no mean over views
+    span = " to ".join(as_text(row.metric, end, row.scene) for end in ends) if has_width else ""
     note, details = difference_note(published, row.scene)
     verdict = published.verdict if note else ""
     return GridCell(text, mean, row.value, row.value, bool(row.bold), details, note, verdict, beside, row.std, span)
