@@ -8,13 +8,13 @@ from unittest import mock
 import pytest
 
 from tdgbench.cells.record import read_all
-from tests.helpers.command import command_here, tdgbench_here
+from tests.helpers.command import command_here, tdgbench, tdgbench_here
 from tests.helpers.configs import QUICK
 from tests.helpers.page import FILE, PAGES
 
 
 def test_the_page_on_methods_shows_what_is_written(tmp_path):
-    assert tdgbench_here(tmp_path, "new", "method", "gradient").returncode == 0
+    assert tdgbench(tmp_path, "new", "method", "gradient").returncode == 0  # other tests import such a module
     shown = dict(FILE.findall((PAGES / "method.md").read_text(encoding="utf-8")))
     assert {name: (tmp_path / name).read_text(encoding="utf-8") for name in shown} == shown
 

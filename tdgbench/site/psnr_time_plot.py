@@ -34,8 +34,8 @@ def plots(rows: Sequence[BoardRow]) -> list[tuple[str, str]]:
     return [
         (plot([f"{methods.label(row.column)}, {row.pack.name}" for row in group],
               *(np.array([[row.scores[TIME].value * 3600, row.scores[PSNR].value] for row in group]).T)),
-         f"{where}, on one machine ({cpu if gpu == 'None' else gpu}, threads: {threads})")
-        for (cpu, gpu, threads), group in by_machine.items() if len(group) > 1
+         f"{where}, on one machine ({cpu if gpu == 'None' else gpu}, threads: {threads}, cells at once: {at_once})")
+        for (cpu, gpu, threads, at_once), group in by_machine.items() if len(group) > 1
     ]  # fmt: skip
 
 

@@ -69,7 +69,7 @@ def test_a_part_that_fails_loses_nothing(measurement):
 
 @pytest.mark.slow
 def test_tests_are_counted(measurement):
-    found = measurement._tests(["-m", "not slow"], "tests/test_text.py")
+    found = measurement._tests(["-m", "not slow"], "tests/test_ply.py")
     assert found["passed"] >= 1 and found["failed"] == [] and found["ended"] == "whole"
 
 
