@@ -44,7 +44,9 @@ def anchors(page: Path) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_relative_links_resolve(page):
-    links = re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8"))
+    text = page.read_text(encoding="utf-8")
+    assert not re.search(r"^(<<<<<<<|>>>>>>>) ", text, re.MULTILINE), f"{page.name}: left by a merge"
+    links = re.findall(r"\]\(([^)\s]+)\)", text)
     for link in (link for link in links if "://" not in link):
         name, _, anchor = link.partition("#")
         target = page.parent / name if name else page
