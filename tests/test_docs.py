@@ -74,6 +74,14 @@ def test_every_finding_answers_one_question_on_one_screen():
     assert sum(text.splitlines()[0].endswith("?") for text in texts) == len(texts) - 1  # the index asks none
 
 
+def test_a_score_of_tdg_on_a_built_in_scene_comes_with_where_its_prior_is_from():
+    pages = [ROOT / "README.md", ROOT / "docs/tutorial.md", ROOT / "docs/as-written-and-as-released.md"]
+    for page in [*pages, *(ROOT / "docs" / "findings").glob("*.md")]:
+        text = " ".join(page.read_text(encoding="utf-8").split())
+        told = re.search("TDg|`tdg`", text) and re.search("built-in|`(orbit|turntable|facade|night|half_seen)`", text)
+        assert not told or " dB" not in text or "true depth" in text, page.name
+
+
 def test_every_page_is_reachable_from_the_readme():
     found, pending = set(), [ROOT / "README.md"]
     while pending:
