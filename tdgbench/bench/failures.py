@@ -20,9 +20,10 @@ from tdgbench.bench.signature import belongs_to, meant, option_meant
 from tdgbench.cells.record import Failure
 from tdgbench.priors import PriorError, PriorUnavailableError
 from tdgbench.scenes import SceneError
+from tdgbench.scoring.metric import MetricError
 from tdgbench.training.part import TrainingError
 
-EXPECTED_ERRORS = (OptionError, SceneError, PriorError, TrainingError)  # their message says enough without its type
+EXPECTED_ERRORS = (OptionError, SceneError, PriorError, TrainingError, MetricError)  # messages that need no type
 
 REMEDIES = {
     "memory": "out of memory: use smaller images (data.width=…), a smaller budget, or fewer workers",

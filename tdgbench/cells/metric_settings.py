@@ -11,12 +11,11 @@ from typing_extensions import TypedDict  # pydantic refuses that of typing befor
 
 from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.scoring import LPIPSOptions, Scorer
-from tdgbench.scoring.backbones import Net, own_weights
+from tdgbench.scoring.backbones import NAME_IT, Net, own_weights
 from tdgbench.scoring.lpips import Range
 from tdgbench.scoring.scored_view import Border, ConventionName
 from tdgbench.text import shortened
 
-NAME_IT = "--weights FILE (of verify), metrics.lpips.weights=FILE (of score)"
 IGNORE = ConfigDict(extra="ignore", strict=True)
 
 

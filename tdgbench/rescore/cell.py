@@ -40,8 +40,8 @@ class EarlierScores(NamedTuple):
     metrics: list[str]
 
 
-def score_cell(cell: CellFolder, target: Path, scorer: Scorer, metrics: dict[str, Any]) -> list[str]:
-    """Score a finished cell again; return the metrics that were computed. The caller must hold the lock on `target`.
+def score_cell(cell: CellFolder, target: Path, scorer: Scorer, metrics: dict[str, Any]) -> Scores:
+    """Score a finished cell again; return the scores that were asked for anew. The caller must hold `target`'s lock.
 
     target: the cell's folder in the new experiment. metrics: options, as records keep them. Raises ValueError for files
     that are not those of the record, and if `target` holds another training.
@@ -60,7 +60,7 @@ def score_cell(cell: CellFolder, target: Path, scorer: Scorer, metrics: dict[str
     new.scores, new.train_scores = mean_scores(rows), dict(record.train_scores)
     there = earlier.cell.record
     if earlier.cell is not cell and (new.scores, config) == (there.scores, there.config):
-        return []
+        return {}
     kept = {name: why for name, why in there.missing.items() if name in earlier.metrics or name not in scorer.metrics}
     new.missing = {**kept, **{name: why for name, why in scorer.missing.items() if new.scores[name] is None}}
     for name, metric in scorer.train_metrics.items():
@@ -70,7 +70,7 @@ def score_cell(cell: CellFolder, target: Path, scorer: Scorer, metrics: dict[str
     if new.protocol != record.protocol:
         new.notes = [*record.notes, f"scored again: protocol {new.protocol}, trained with {record.protocol or 'none'}"]
     _write(cell, target, new, rows)
-    return [metric.name for metric in todo]
+    return {metric.name: new.scores[metric.name] for metric in todo}
 
 
 def _earlier_scores(cell: CellFolder, target: Path, new: Record) -> EarlierScores:

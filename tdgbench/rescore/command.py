@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from tdgbench.bench.failures import error_message, message
+from tdgbench.bench.failures import error_message, message, place_of
 from tdgbench.bench.options import check_options
 from tdgbench.bench.run_cell import cell_lock
 from tdgbench.cells.folder import CellFolder, read_cells
@@ -27,9 +27,9 @@ from tdgbench.packs import opened_pack
 from tdgbench.rescore.cell import score_cell
 from tdgbench.resources import conf_folder
 from tdgbench.scoring import Scorer
+from tdgbench.scoring.metrics.lpips import LPIPS
 from tdgbench.tables.measures import entries_of
-from tdgbench.tables.show import show_findings
-from tdgbench.terminal import errors_in_one_line, say
+from tdgbench.terminal import errors_in_one_line, say, show_findings
 from tdgbench.text import one_line
 
 
@@ -56,10 +56,10 @@ def main(arguments: list[str]) -> int:
 
 
 class Chosen(NamedTuple):
-    """Options of `metrics` as records keep them, and whether LPIPS may download a missing backbone."""
+    """Options of `metrics` as records keep them."""
 
     metrics: dict[str, Any]
-    download: bool = True
+    download: bool | None = None  # whether LPIPS may download a missing backbone; None: of cells that have an LPIPS
 
 
 def score_experiment(experiment: Path, out: Path, words: list[str], config_dirs: Sequence[Path] = ()) -> bool:
@@ -89,7 +89,7 @@ def score_experiment(experiment: Path, out: Path, words: list[str], config_dirs:
         except (ValueError, OSError) as error:
             failed, outcome = True, f"not scored: {error}"
         except (Exception, SystemExit) as error:  # a method of the user may raise anything; the others are scored
-            failed, outcome = True, f"not scored: {message(error)}"
+            failed, outcome = True, f"not scored: {message(error)}{place_of(error)}"
         say(one_line(f"{record.title}: {outcome}"))
     return failed
 
@@ -104,10 +104,14 @@ def _score(cell: CellFolder, target: Path, chosen: Chosen | None, scorers: dict[
     metrics, download = chosen or Chosen(record.setting("metrics"))
     settings = metric_settings(metrics)
     own = settings["lpips"]["weights"] if chosen else None  # one that a record names is not opened
+    if download is None:
+        download = record.scores.get(LPIPS.name) is not None
     scorer = scorer_of(settings, download, None if own is None else Path(own), extra_of(metrics))
-    scorer = scorers.setdefault(json.dumps(metrics, sort_keys=True), scorer)
-    computed = score_cell(cell, target, scorer, metrics)
-    return f"{', '.join(computed)} computed" if computed else "already there"
+    scorer = scorers.setdefault(json.dumps([metrics, download], sort_keys=True), scorer)
+    scores = score_cell(cell, target, scorer, metrics)
+    computed, lacking = ([m for m, value in scores.items() if (value is None) == lacks] for lacks in (False, True))
+    done = [f"{', '.join(computed)} computed"] * bool(computed) + [f"{', '.join(lacking)} n/a"] * bool(lacking)
+    return "; ".join(done) or "already there"
 
 
 def read_options(words: list[str], config_dirs: Sequence[Path] = ()) -> Chosen:
@@ -127,4 +131,7 @@ def read_options(words: list[str], config_dirs: Sequence[Path] = ()) -> Chosen:
         raise ValueError(error_message(error, words)) from error
     trust_also(as_json(OmegaConf.to_container(cfg.metrics)).get("extra") or [])
     check_options(cfg)
-    return Chosen(relevant_metrics(as_json(OmegaConf.to_container(cfg.metrics))), cfg.metrics.lpips.download)
+    download = cfg.metrics.lpips.download
+    if download and not any(word.startswith("metrics.lpips.download=") for word in words):
+        download = None
+    return Chosen(relevant_metrics(as_json(OmegaConf.to_container(cfg.metrics))), download)

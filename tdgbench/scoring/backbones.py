@@ -18,6 +18,7 @@ from tdgbench.scoring.scored_view import NotApplicableError
 
 Net = Literal["vgg", "alex", "squeeze"]
 DOWNLOAD_TIMEOUT_SECONDS = 20
+NAME_IT = "--weights FILE (of verify), metrics.lpips.weights=FILE (of trainings and score)"
 _failed_downloads: dict[str, str] = {}
 
 
@@ -99,7 +100,8 @@ def trunk_weights(net: Net, file: str | None, download: bool) -> dict[str, Tenso
         state = _download(net, spec, cached)
     else:
         raise BackboneUnavailableError(
-            f"no {net} backbone: {spec.file} is not in torch's cache and metrics.lpips.download is false"
+            f"no {net} backbone: {spec.file} is not in torch's cache and metrics.lpips.download is false; set it true, "
+            f"or name the file: {NAME_IT}"
         )
     features = {k.removeprefix("features."): v for k, v in state.items() if k.startswith("features.")}
     expected = make_trunk(net).state_dict()

@@ -6,12 +6,18 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 
 from tdgbench.scenes.modalities import LABELS, THERMAL
 from tdgbench.scoring.scored_view import ImagePair, ScoredView
 
 LPIPS_OPTIONS = ("lpips_range", "lpips.net", "lpips.weights_sha256")
+SLACK = 1e-6  # of limits, against rounding
 AFTER_THERMAL = 40  # places in `order` by which metrics of other modalities follow those of thermal images
+
+
+class MetricError(Exception):
+    """A metric gives a value that it may not have. The message names metric and view, and says what to do."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,9 +95,23 @@ class Metric(Measure, ABC):
         """Whether the value depends on LPIPS's network."""
         return set(LPIPS_OPTIONS) <= set(self.options)
 
-    @abstractmethod
     def score(self, shown: ScoredView) -> float:
-        """Return the value. Raises NotApplicableError, with the reason, where there is none."""
+        """Return the value. Raises NotApplicableError where there is none, MetricError for none that counts."""
+        value, (low, high) = self.computed(shown), self.limits
+        if isinstance(value, Real) and math.isfinite(value) and low - SLACK <= value <= high + SLACK:
+            return value  # type: ignore[return-value]
+        wrong, remedy = f"of type {type(value).__name__}", "return a float"
+        if isinstance(value, Real):
+            wrong, remedy = f"{value:g}", "cap it" if math.isinf(value) else "return a finite number"
+            if math.isfinite(value):
+                wrong += f", outside its limits {low:g} to {high:g}"
+                remedy = "mend it, declare limits=(LOW, HIGH) that hold it"
+        where = f"metric {self.name} of view {shown.view.name} is {wrong}"
+        raise MetricError(f"{where}: {remedy}, or raise NotApplicableError with the reason where there is no value")
+
+    @abstractmethod
+    def computed(self, shown: ScoredView) -> float:
+        """Return the value, not checked. Raises NotApplicableError, with the reason, where there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +124,7 @@ class ImageMetric(Metric):
     on_training_views: bool = False  # cheap enough to score every training view
     verified_to: float | None = 1e-6
 
-    def score(self, shown: ScoredView) -> float:
+    def computed(self, shown: ScoredView) -> float:
         return self.of_images(shown.pair(self.modality))
 
     def of_modality(self, modality: str) -> ImageMetric:
@@ -128,7 +148,7 @@ class ViewMetric(Metric):
 
     of_view: Callable[[ScoredView], float]
 
-    def score(self, shown: ScoredView) -> float:
+    def computed(self, shown: ScoredView) -> float:
         return self.of_view(shown)
 
 

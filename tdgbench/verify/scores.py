@@ -18,7 +18,7 @@ from tdgbench.cells.record import Record
 from tdgbench.scenes import Scene
 from tdgbench.scoring import RenderedImages, Scores, mean_scores
 from tdgbench.scoring.backbones import BackboneUnavailableError
-from tdgbench.scoring.metric import ImageMetric, Metric
+from tdgbench.scoring.metric import ImageMetric, Metric, MetricError
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
 
 TOLERANCE = 1e-6  # of means
@@ -101,7 +101,7 @@ def _view_problems(
         shown = ScoredView(shown.view, shown.rendered, bare, shown.scene, shown.renders)
     try:
         value = metric.score(shown)
-    except NotApplicableError as error:
+    except (NotApplicableError, MetricError) as error:
         if stored is not None:
             yield f"{metric.name} cannot be computed again: {error}"
         return None

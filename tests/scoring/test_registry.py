@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hydra.utils import instantiate
 
 from tdgbench.scenes.modalities import LABELS
 from tdgbench.scoring import METRICS, RenderedImages, metrics, registry
+from tdgbench.scoring.metric import ImageMetric, MetricError
 from tdgbench.scoring.registry import find_metrics
+from tdgbench.scoring.scored_view import Convention, ScoredView
 from tests.helpers.configs import config
 
 MADE_UP = """
@@ -61,10 +65,23 @@ def test_scores_lie_in_their_range(scene, request, squeeze_weights):
     views = scorer.score(scene, {view.name: wrong(view) for view in scene.test})
     scored = {name for scores in views.values() for name, value in scores.items() if value is not None}
     assert scored == set(COLUMNS) - set(scorer.missing)
-    for scores in views.values():
-        for name, value in scores.items():
-            low, high = METRICS[name].limits
-            assert value is None or low <= value <= high, name
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (float("nan"), "is nan: return a finite number, or raise NotApplicableError"),
+        (float("inf"), "is inf: cap it"),
+        (-0.1, "is -0.1, outside its limits 0 to inf: mend it, declare limits=(LOW, HIGH)"),
+        (None, "is of type NoneType: return a float"),
+    ],
+)
+def test_values_that_count_for_nothing_are_refused(small_gray_scene, value, said):
+    view = small_gray_scene.test[0]
+    metric = ImageMetric(name="bias", label="bias", of_images=lambda pair: value)
+    shown = ScoredView(view, RenderedImages(view.thermal, None), Convention("zero", float))
+    with pytest.raises(MetricError, match=re.escape(f"metric bias of view {view.name} {said}")):
+        metric.score(shown)
 
 
 def test_the_rgb_model_is_described_like_the_thermal_one():

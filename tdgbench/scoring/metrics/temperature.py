@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -110,7 +111,8 @@ MAE_DEGC_WITHOUT_OFFSET = ViewMetric(
 )  # fmt: skip
 PSNR_TRUE = ViewMetric(
     name="psnr_true", label="PSNR to true temperatures",
-    meaning="PSNR to the true temperatures after one gain and one offset for all test views", order=44, **IN_DB,
+    meaning="PSNR to the true temperatures after one gain and one offset for all test views", order=44,
+    **IN_DB | {"limits": (-math.inf, MAX_PSNR)},  # one bad view may have most of the squared error
     fits_to_test_view="gain and offset, common to all test views", needs="true temperatures, gray images",
     of_view=psnr_true,
 )  # fmt: skip
