@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from typing import Any, ParamSpec, TextIO, cast
 
@@ -17,6 +19,7 @@ from tdgbench.text import one_line
 Arguments = ParamSpec("Arguments")
 UNPRINTABLE = "backslashreplace"  # how characters outside of the stream's encoding are printed
 LONGEST = 10_000  # characters of a message; the help has some 4 000
+COLOURS = re.compile("\x1b\\[[0-9;]*m")  # of rich
 UNLIMITED = 1_000_000  # width, in characters, where there is no terminal: tables are as wide as their content
 
 
@@ -41,6 +44,32 @@ def say(text: str, label: str = "", style: str = "red", stderr: bool = False) ->
         text = f"{text[:LONGEST]}… ({len(text) - LONGEST:,} more characters)"
     line = Text.assemble((label, style), " " if label else "", printable(text))
     console(stderr).print(line, highlight=False, soft_wrap=True)
+
+
+def show_findings(findings: list[str]) -> None:
+    """Print what was found. A reader looks for it at the end, so nothing but errors is printed after it."""
+    for sentence in findings:
+        say(sentence, "found:", "bold")
+
+
+@contextmanager
+def copy_of_prints() -> Iterator[list[str]]:
+    """Yield a list that what is printed to standard output meanwhile is added to."""
+    before, stream = sys.stdout, _guarded("stdout")
+    sys.stdout = cast(TextIO, stream)
+    stream.copies = []
+    try:
+        yield stream.copies
+    finally:
+        sys.stdout, stream.copies = before, None
+
+
+def print_again(text: str) -> None:
+    """Print what `copy_of_prints` kept. Raises ValueError where a file holds what no print of ours does."""
+    plain = COLOURS.sub("", text)
+    if plain != printable(plain):
+        raise ValueError("it has control characters")
+    _guarded("stdout").write(text)
 
 
 def errors_in_one_line(tool: str, status: int = 1) -> Callable[[Callable[Arguments, int]], Callable[Arguments, int]]:
@@ -92,6 +121,7 @@ class GuardedStream:
 
     def __init__(self, name: str, stream: TextIO | None) -> None:
         self.name, self._stream, self._broken = name, stream or io.StringIO(), False
+        self.copies: list[str] | None = None  # of what is written
         if stream is None:
             self._stream.close()
         if isinstance(stream, io.TextIOWrapper):
@@ -101,6 +131,8 @@ class GuardedStream:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
+        if self.copies is not None:
+            self.copies.append(text)
         self._guard(lambda: self._stream.write(text))
         return len(text)
 

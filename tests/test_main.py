@@ -125,9 +125,15 @@ def test_a_sweep_resumes_and_survives_a_failure(tmp_path, data_root):
     sweep = ("method=3dgs", "-m", "scene=night,facade", f"data.root={data_root}", *QUICK)
     first = command_here(tmp_path, *sweep, "hydra.sweeper.max_batch_size=1")
     assert first.returncode == 0 and "2 cells run, 0 already there" in first.stdout, first.stderr
+    jobs = sorted((tmp_path / "results" / "single" / "hydra").rglob("outcome.json"))
     again = command_here(tmp_path, *sweep)
     assert again.returncode == 0 and "0 cells run, 2 already there" in again.stdout
-    assert len(read_all(tmp_path / "results" / "single")) == 2
+    assert again.stderr.count(": already there") == 2
+    assert again.stdout == first.stdout.replace("2 cells run, 0 already there", "0 cells run, 2 already there")
+    assert jobs == sorted((tmp_path / "results" / "single" / "hydra").rglob("outcome.json")) != []  # none was started
+    more = command_here(tmp_path, *sweep, "seed=0,1")
+    assert "2 cells run, 2 already there" in more.stdout
+    assert len(read_all(tmp_path / "results" / "single")) == 4
 
 
 def test_existing_scenes_run_while_others_are_missing(tmp_path, data_root, small_scene):

@@ -73,6 +73,7 @@ class CellRun(SetupObserver):
     def __init__(self, cfg: DictConfig, record: Record, experiment: Path, progress: CellProgress) -> None:
         self.cfg, self.record, self.experiment, self.progress = cfg, record, experiment, progress
         self.current = "options"  # name of the current phase
+        self.existing: Record | None = None  # in the cell's folder before this run, once it is locked
         self.is_locked = False  # whether this run holds the cell's lock
         self.remarks: list[str] = []  # what did not work, but changes no result
 

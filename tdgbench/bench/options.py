@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, cast
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveInt, ValidationError
@@ -24,9 +26,11 @@ from tdgbench.bench.signature import (
     signature_problems,
 )
 from tdgbench.cells.key import flat
+from tdgbench.cells.plan import method_entries
 from tdgbench.cells.record import LARGEST
 from tdgbench.splats.backends import backend_names
 from tdgbench.splats.density import GradientKind
+from tdgbench.text import meant
 from tdgbench.training.budget import RULES
 from tdgbench.training.method import Method
 from tdgbench.training.skips import SWITCHES
@@ -51,7 +55,7 @@ def check_options(cfg: DictConfig) -> None:
     Options of tdgbench are checked against the models below, those of a `_target_` against its signature. Raises
     OptionError, which names all problems.
     """
-    plain, unresolved = _resolved(OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"]))
+    plain, unresolved = _resolved(without_hydra(cfg))
     problems = unresolved or [*_model_problems(plain), *_object_problems(plain, ""), *impossible_numbers(plain, "")]
     first: dict[str, Problem] = {}
     for problem in problems:
@@ -59,14 +63,14 @@ def check_options(cfg: DictConfig) -> None:
         if problem.what.startswith(UNKNOWN):
             more = option_meant(name) if problem.what == UNKNOWN else belongs_to(name)
             problem = problem._replace(what=f"{problem.what}{more}")
-        first.setdefault(name, problem._replace(option=name))
+        first.setdefault(name, problem._replace(option=name, what=problem.what + _written_in(cfg, name)))
     if first:
         raise OptionError(list(first.values()))
 
 
 def check_names(cfg: DictConfig) -> None:
     """Check the options that name a cell: without them its result has no place. Raises OptionError."""
-    plain, unresolved = _resolved(OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"]))
+    plain, unresolved = _resolved(without_hydra(cfg))
     problems = unresolved or _model_problems(plain)
     of_the_cell = [problem for problem in problems if problem.option in OF_THE_CELL]
     if of_the_cell:
@@ -83,13 +87,41 @@ def check_experiment_options(cfg: DictConfig, options: Callable[..., Any]) -> No
 
 
 def check_method_name(cfg: DictConfig, choice: str | None) -> None:
-    """Raise OptionError if a method's file, conf/method/<choice>.yaml, gives it the name of another method.
-
-    Its cells would be those of the other one.
+    """Check the names in a method's file, <choice>.yaml: of a method of tdgbench, whose cells its own would be, and of
+    a baseline that is no method, none of the user's folders and none with cells here. Raises OptionError.
     """
-    name = OmegaConf.select(cfg, "method.name")
+    name, baseline = (OmegaConf.select(cfg, f"method.{key}") for key in ("name", "compared_with"))
     if choice not in (None, name) and name in choices("method"):
         raise OptionError([Problem("method.name", f"is another method; set `name: {choice}` in {choice}.yaml", name)])
+    experiment = Path(str(cfg.results)) / str(cfg.name)
+    known = [*choices("method"), *(path.name for path in (experiment / "cells").glob("*"))]
+    if baseline not in (None, *known):
+        known += [one for folder in _folders_of_user(cfg) for one in method_entries(folder)]
+    if baseline not in (None, *known):
+        what = f"is no method, nor has it cells in {experiment}{meant(str(baseline), known)}"
+        option = "method.compared_with"
+        raise OptionError([Problem(option, what + _written_in(cfg, option), baseline)])
+
+
+def _hydra_of(cfg: DictConfig) -> Any:
+    """Return Hydra's own configuration; None where a configuration was composed without a command."""
+    return cfg.get("hydra") or (HydraConfig.get() if HydraConfig.initialized() else None)
+
+
+def _folders_of_user(cfg: DictConfig) -> list[Path]:
+    """Return the folders that --config-dir names."""
+    hydra = _hydra_of(cfg)
+    sources = () if hydra is None else hydra.runtime.config_sources
+    return [Path(source.path) for source in sources if source.provider == "command-line"]
+
+
+def _written_in(cfg: DictConfig, option: str) -> str:
+    """Return ` (in FILE)` for an option of a chosen file of the user's folders that is not typed; else nothing."""
+    group, hydra = option.partition(".")[0], _hydra_of(cfg)
+    if hydra is None or any(word.lstrip("+").startswith(f"{option}=") for word in hydra.overrides.task):
+        return ""
+    files = (folder / group / f"{hydra.runtime.choices.get(group)}.yaml" for folder in _folders_of_user(cfg))
+    return next((f" (in {path})" for path in files if path.is_file()), "")
 
 
 def check_typed_names(words: Iterable[str]) -> None:
@@ -105,6 +137,11 @@ def check_typed_names(words: Iterable[str]) -> None:
     if numbers:
         what = "is read as {}; put it in quotes: \"{}='{}'\""
         raise OptionError([Problem(k, what.format(n.replace("_", ""), k, n), n) for k, n in numbers])
+
+
+def without_hydra(cfg: DictConfig) -> DictConfig:
+    """Return a composed configuration without Hydra's own options, as a job gets it."""
+    return OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"])
 
 
 def names_to_text(cfg: DictConfig) -> DictConfig:

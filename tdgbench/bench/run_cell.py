@@ -9,6 +9,7 @@ from pathlib import Path
 
 import torch
 from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
 
 from tdgbench.bench import failures
 from tdgbench.bench.backend_check.choose import training_backend
@@ -38,10 +39,8 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
     held.callback(progress.end)
     try:
         check_names(cfg)
-        method, scene, init, experiment = (str(name) for name in (cfg.method.name, cfg.scene, cfg.init.name, cfg.name))
-        record = Record(method, "", scene, init, int(cfg.seed), experiment, variant)
-        run = CellRun(cfg, record, Path(str(cfg.results)) / record.experiment, progress)
-        progress.begin(record.title)
+        run = _cell_run(cfg, variant, progress)
+        progress.begin(run.record.title)
         outcome = _run(run, held)
     except MissingScenesError as error:
         outcome = Outcome("missing", _title(cfg, run), str(error))
@@ -56,6 +55,29 @@ def run_cell(cfg: DictConfig, variant: str, progress: CellProgress) -> Outcome:
         except Exception as error:  # changes no outcome
             remark = f"clearing up: {failures.message(error)}"
     return replace(outcome, message="; ".join(filter(None, [outcome.message, remark])))
+
+
+def known_outcome(cfg: DictConfig, variant: str) -> Outcome | None:
+    """Return the outcome of a cell that `run_cell` would not run; None if it has to run, or if another process runs it.
+
+    Raises what `run_cell` tells as a failure.
+    """
+    check_options(cfg)
+    quiet = CellProgress(Console(quiet=True), 0, cells_at_once=None)
+    run = _cell_run(cfg, variant, quiet)
+    try:
+        run.identify()
+    except MissingScenesError as error:
+        return Outcome("missing", _title(cfg, run), str(error))
+    with ExitStack() as held:
+        outcome = _outcome_on_disk(run, held)
+    return None if outcome is not None and outcome.status == "elsewhere" else outcome
+
+
+def _cell_run(cfg: DictConfig, variant: str, progress: CellProgress) -> CellRun:
+    method, scene, init, experiment = (str(name) for name in (cfg.method.name, cfg.scene, cfg.init.name, cfg.name))
+    record = Record(method, "", scene, init, int(cfg.seed), experiment, variant)
+    return CellRun(cfg, record, Path(str(cfg.results)) / record.experiment, progress)
 
 
 def _title(cfg: DictConfig, run: CellRun | None) -> str:
@@ -76,14 +98,9 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
     torch.set_num_threads(1)  # the kernels use a pool of threads; idle OpenMP workers would slow it down
     record.environment = describe_environment(run.progress.cells_at_once)  # with these threads
     cell = run.identify()
-    if not held.enter_context(cell_lock(run.experiment, run.folder)):
-        return Outcome("elsewhere", record.title, "another process is running it")
-    run.is_locked = True
-    finish_replacement(run.folder)
-    existing = readable_record(run.folder)
-    kept = _kept_outcome(run, existing)
-    if kept is not None:
-        return kept
+    on_disk = _outcome_on_disk(run, held)
+    if on_disk is not None:
+        return on_disk
     on_gpu = training_device(training_backend(cfg.backend.name)).type == "cuda"
     if on_gpu:
         torch.cuda.set_device(held.enter_context(exclusive_gpu(visible_gpus())))
@@ -92,18 +109,23 @@ def _run(run: CellRun, held: ExitStack) -> Outcome:
         trained = run.train(cell, run.load(cell))
     record.peak_rss_mb, record.peak_gpu_mb = memory.mb, memory.gpu_mb
     run.write(trained)
-    changes = [] if existing is None else why_differs(existing, record)
+    changes = [] if run.existing is None else why_differs(run.existing, record)
     remarks = [f"run again, changed: {'; '.join(changes)}"] if changes else []
     remarks += [f"resumed after iteration {record.resumed[-1]}"] if record.resumed else []
     return finished(record, "; ".join([*remarks, *run.remarks]))
 
 
-def _kept_outcome(run: CellRun, existing: Record | None) -> Outcome | None:
+def _outcome_on_disk(run: CellRun, held: ExitStack) -> Outcome | None:
     """Return the outcome of a cell whose result is there, or hidden by a failure; None if it has to run.
 
-    existing: the record in its folder.
+    Its lock is in `held` afterwards, and the record in its folder in `run.existing`.
     """
     cfg, record = run.cfg, run.record
+    if not held.enter_context(cell_lock(run.experiment, run.folder)):
+        return Outcome("elsewhere", record.title, "another process is running it")
+    run.is_locked = True
+    finish_replacement(run.folder)
+    existing = run.existing = readable_record(run.folder)
     outcome = None if existing is None else _outcome_without_run(existing, record, cfg)
     if outcome is None and cfg.overwrite != "always" and restore(run.folder, record, existing):
         outcome = Outcome("kept", record.title, "restored: its settings are those of an earlier result")

@@ -15,7 +15,7 @@ from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
 from tdgbench.tables.grids import RANGE_TITLE, reasons_for_na
 from tdgbench.tables.long_table import RANGE
-from tdgbench.tables.measures import ABLATION, HOURS, MEASURES, PUBLISHED, as_text
+from tdgbench.tables.measures import ABLATION, HOURS, MEASURES, as_text
 from tdgbench.tables.palette import MARK, with_mark
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import comparable, verdicts_in_words
@@ -56,7 +56,7 @@ def show_tables(tables: Tables) -> None:
         _show_readings(tables.readings, tables.effects)
     else:
         _show_main(tables)
-    for note in (*tables.grid.notes, *reasons_for_na(tables.main, PUBLISHED)):
+    for note in (*tables.grid.notes, *reasons_for_na(tables.main, tables.grid.names)):
         say(one_line(note))
     show_problems(tables.problems)
     show_doubts(doubts_of(tables.records))
@@ -102,12 +102,6 @@ def show_sensitivity(sensitivity: pd.DataFrame) -> None:
     of_some = np.where(sensitivity["cells"] > 0, " in some cells", "")
     for reason in ("n/a" + of_some + ": " + sensitivity["reason"])[sensitivity["reason"] != ""].unique():
         say(one_line(reason))
-
-
-def show_findings(findings: list[str]) -> None:
-    """Print what was found. A reader looks for it at the end, so nothing but errors is printed after it."""
-    for sentence in findings:
-        say(sentence, "found:", "bold")
 
 
 def show_problems(problems: list[str]) -> None:

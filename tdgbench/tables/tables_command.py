@@ -24,8 +24,8 @@ from tdgbench.tables.likeness import RANK_UNLIKE
 from tdgbench.tables.palette import COLUMN, image_values, palette_notes
 from tdgbench.tables.results import read_results
 from tdgbench.tables.sensitivity import Weights, sensitivity
-from tdgbench.tables.show import show_claims, show_findings, show_problems, show_sensitivity, show_tables
-from tdgbench.terminal import errors_in_one_line, say
+from tdgbench.tables.show import show_claims, show_problems, show_sensitivity, show_tables
+from tdgbench.terminal import errors_in_one_line, say, show_findings
 
 
 def main(arguments: list[str]) -> int:

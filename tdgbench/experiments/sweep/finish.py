@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from omegaconf import DictConfig
+from pydantic import TypeAdapter
 
 from tdgbench.bench.failures import error_message
 from tdgbench.bench.progress import SUCCESS, Outcome
-from tdgbench.present.strip import draw_strip
-from tdgbench.report.report_page import in_order, write_report
-from tdgbench.tables import methods
-from tdgbench.tables.build import build_tables
-from tdgbench.tables.show import show_findings, show_tables
-from tdgbench.terminal import say
+from tdgbench.cells.plan import PLAN_FILE
+from tdgbench.files import content_of, sha256_of, write_text
+from tdgbench.resources import PACKAGE, conf_folder, paper_tables_folder
+from tdgbench.terminal import console, copy_of_prints, print_again, say, show_findings
+
+MADE = "made.json"
 
 
 def finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:
@@ -64,12 +69,76 @@ def _cells(count: int) -> str:
     return f"{count} {'cell' if count == 1 else 'cells'}"
 
 
+@dataclass(frozen=True)
+class Made:
+    """What was made of an experiment's cells. made_from: hash. outputs: hashes by path. printed: text."""
+
+    made_from: str
+    outputs: dict[str, str]
+    printed: str
+    findings: list[str]
+
+
+_SCHEMA = TypeAdapter(Made)
+
+
 def write_all(experiment: Path) -> list[str]:
-    """Write and print tables, pictures and report of all cells on disk; return the findings in sentences."""
+    """Write and print tables, pictures and report of all cells on disk; return the findings in sentences.
+
+    They stay as they are, and what was printed is printed again, where all that they are made from is what it was.
+    """
+    memory, made_from = experiment / "tables" / MADE, hash_of_sources(experiment)
+    with suppress(OSError, ValueError):
+        made = _SCHEMA.validate_json(content_of(memory))
+        if made.made_from == made_from and made.outputs == _hashes(experiment, made.outputs):
+            print_again(made.printed)
+            return made.findings
+    with copy_of_prints() as printed:
+        findings, outputs = _write_outputs(experiment)
+    made = Made(made_from, _hashes(experiment, outputs), "".join(printed), findings)
+    write_text(memory, _SCHEMA.dump_json(made, indent=1).decode())
+    return findings
+
+
+def hash_of_sources(experiment: Path) -> str:
+    """Return the hash of all that tables, pictures and report are made from: cells, plan, code, terminal.
+
+    Size and time stand for the content of renders and models, whose hashes are in the records.
+    """
+    of_sweep = [experiment / PLAN_FILE, *sorted((experiment / "cells").rglob("*"))]
+    code = [path for part in (PACKAGE, conf_folder(), paper_tables_folder()) for path in sorted(part.rglob("*"))]
+    digest = hashlib.sha256(repr((str(experiment), console().width, console().color_system)).encode())
+    for path in filter(Path.is_file, [*of_sweep, *code]):
+        if path.suffix == ".pyc":
+            continue
+        if path.suffix in (".json", ".csv") or path.is_relative_to(PACKAGE.parent):
+            content = sha256_of(path)
+        else:
+            content = f"{path.stat().st_size} {path.stat().st_mtime_ns}"
+        digest.update(f"{path}\0{content}\0".encode("utf-8", "backslashreplace"))
+    return digest.hexdigest()
+
+
+def _hashes(experiment: Path, outputs: Iterable[str]) -> dict[str, str]:
+    return {name: sha256_of(experiment / name, inside=experiment) for name in outputs}
+
+
+def _write_outputs(experiment: Path) -> tuple[list[str], list[str]]:
+    """Write and print tables, pictures and report; return the findings, and the paths of the outputs below it."""
+    from tdgbench.present.strip import draw_strip  # Matplotlib, pandas and SciPy take a second
+    from tdgbench.report.report_page import in_order, write_report
+    from tdgbench.tables import methods
+    from tdgbench.tables.build import build_tables
+    from tdgbench.tables.show import show_tables
+
     tables = build_tables(experiment)
     show_tables(tables)
     say(f"tables: {tables.folder}")
-    if draw_strip(in_order(tables.results), experiment / "strip.png", methods.label):
-        say(f"pictures: {experiment / 'strip.png'}")
-    say(f"report: {write_report(tables)}")
-    return tables.findings
+    outputs = [path for path in tables.folder.iterdir() if path.suffix in (".csv", ".tex", ".txt")]
+    strip = experiment / "strip.png"
+    if draw_strip(in_order(tables.results), strip, methods.label):
+        say(f"pictures: {strip}")
+        outputs.append(strip)
+    outputs.append(write_report(tables))
+    say(f"report: {outputs[-1]}")
+    return tables.findings, [path.relative_to(experiment).as_posix() for path in outputs]

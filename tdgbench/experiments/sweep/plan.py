@@ -11,18 +11,21 @@ from pathlib import Path
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench.options import OptionError, check_options, names_to_text
+from tdgbench.bench.options import OptionError, check_method_name, check_options, names_to_text, without_hydra
+from tdgbench.bench.progress import Outcome
+from tdgbench.bench.run_cell import known_outcome
 from tdgbench.cells.plan import (
     IN_THE_PATH,
     Command,
+    Jobs,
     MethodEntry,
     Plan,
-    configs_by,
     method_entries,
     number_of_jobs,
     read_plan,
     swept,
 )
+from tdgbench.cells.record import record_files
 from tdgbench.experiments.experiment import prepare_prior
 from tdgbench.priors import PriorUnavailableError
 from tdgbench.scenes import Dataset, Description, SceneError
@@ -30,38 +33,57 @@ from tdgbench.tables.measures import entries_of
 from tdgbench.terminal import say
 from tdgbench.text import without_folders
 
+SWEEPER = "hydra._internal.core_plugins.basic_sweeper.BasicSweeper"
 
-def plan_sweep(cfg: DictConfig) -> tuple[int, int]:
-    """Write the plan of a sweep, and print the number of its cells, all missing scenes, and missing priors.
 
-    Returns the number of cells, or of scenes where the sweeper decides on the cells, and how many of them are not on
-    disk. Raises SystemExit(1) for an unknown scene.
+def plan_sweep(cfg: DictConfig, jobs: Jobs) -> tuple[Plan, int, int]:
+    """Plan a sweep, and print the number of its cells, all missing scenes, and missing priors.
+
+    Returns the plan, the number of cells, or of scenes where the sweeper decides on the cells, and how many of them are
+    not on disk. Raises SystemExit(1) for an unknown scene.
     """
-    composed: dict[tuple[str, ...], DictConfig] = {}
     try:
-        scenes, missing = _scenes_of(cfg, configs_by(cfg, ("dataset", "data"), composed))
+        scenes, missing = _scenes_of(cfg, jobs.configs_by(("dataset", "data")))
     except SceneError as error:
         say(str(error), "error:", stderr=True)
         raise SystemExit(1) from error
-    for message in unavailable_priors(configs_by(cfg, ("method", "dataset", "prior"), composed)):
+    for message in unavailable_priors(jobs.configs_by(("method", "dataset", "prior"))):
         say(f"{message}\n  cells of methods without a prior run", "error:", stderr=True)
     known = number_of_jobs(cfg)
-    jobs = known or max(len(scenes), 1)
-    without_data = round(missing * jobs)
-    if jobs > 1:
+    cells = known or max(len(scenes), 1)
+    without_data = round(missing * cells)
+    if cells > 1:
         counted = "scenes" if known is None else "cells"
-        say(f"{cfg.name}: {jobs} {counted}, {without_data} of them without data", stderr=True)
-    plan = _plan_of(cfg, list(dict.fromkeys(scenes)), jobs - without_data if known else 0)
-    experiment = Path(cfg.results) / cfg.name
-    before = _plan_before(experiment)
+        say(f"{cfg.name}: {cells} {counted}, {without_data} of them without data", stderr=True)
+    plan = _plan_of(cfg, list(dict.fromkeys(scenes)), cells - without_data if known else 0)
+    before = plan_before(Path(cfg.results) / cfg.name)
     plan.commands = [*(one for one in before.commands if one.words != plan.commands[0].words), *plan.commands]
     plan.own_methods = before.own_methods | _own_methods(cfg)
     plan.own_metrics = before.own_metrics
-    for one in filter(_is_allowed, configs_by(cfg, ("metrics",), composed)):
+    for one in filter(_is_allowed, jobs.configs_by(("metrics",))):
         plan.own_metrics |= entries_of(OmegaConf.select(one, "metrics.extra") or ())
-    plan.write(experiment)  # for the tables
-    plan.write(Path(cfg.hydra.sweep.dir))  # for the jobs: another sweep may replace the other one meanwhile
-    return jobs, without_data
+    return plan, cells, without_data
+
+
+def finished_outcomes(cfg: DictConfig, jobs: Jobs, plan: Plan) -> list[Outcome]:
+    """Return the outcomes of a sweep of which no cell has to run; none if a cell has to, or a job has to tell.
+
+    Its jobs would say the same, but Hydra composes each twice, and its launcher may start processes for them.
+    """
+    folder, outcomes = Path(cfg.results) / cfg.name, list[Outcome]()
+    if sum(1 for _ in record_files(folder)) < plan.cells_with_data or cfg.hydra.sweeper._target_ != SWEEPER:
+        return []
+    for words in jobs.words:
+        one = jobs.compose(words)
+        try:
+            check_method_name(one, one.hydra.runtime.choices.get("method"))
+            outcome = known_outcome(names_to_text(without_hydra(one)), plan.variant(words))
+        except Exception:  # whatever it is, the job says it
+            return []
+        if outcome is None:
+            return []
+        outcomes.append(outcome)
+    return outcomes
 
 
 def _scenes_of(cfg: DictConfig, by_dataset: Iterable[DictConfig]) -> tuple[list[Description], float]:
@@ -99,7 +121,7 @@ def _plan_of(cfg: DictConfig, scenes: list[Description], cells_with_data: int) -
     )
 
 
-def _plan_before(experiment: Path) -> Plan:
+def plan_before(experiment: Path) -> Plan:
     """Return the plan in an experiment's folder; an empty one where it cannot be read, and is replaced."""
     try:
         return read_plan(experiment)

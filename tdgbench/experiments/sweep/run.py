@@ -21,9 +21,9 @@ from tdgbench.bench.failures import error_message
 from tdgbench.bench.options import check_method_name
 from tdgbench.bench.progress import CellProgress, Outcome
 from tdgbench.bench.run_cell import run_cell
-from tdgbench.cells.plan import number_of_jobs, plan_of_job, read_plan
+from tdgbench.cells.plan import Jobs, number_of_jobs, plan_of_job, read_plan
 from tdgbench.experiments.experiment import Experiment
-from tdgbench.experiments.sweep.plan import plan_sweep
+from tdgbench.experiments.sweep.plan import finished_outcomes, plan_before, plan_sweep
 from tdgbench.files import content_of, write_text
 from tdgbench.splats.cpu import pool
 from tdgbench.terminal import console, say
@@ -38,9 +38,20 @@ class Sweep(Experiment):
     """Cells of methods on scenes; the default of `conf/config.yaml`."""
 
     def start(self, cfg: DictConfig) -> None:
-        cells, without_data = plan_sweep(cfg)
-        if without_data == cells:  # no job has anything to do
-            _finish(cfg, [Outcome("missing", "")] * cells)
+        """Write the plan, and end the run here if no job has anything to do."""
+        jobs = Jobs(cfg)
+        plan, cells, without_data = plan_sweep(cfg, jobs)
+        folder, outcomes = Path(cfg.results) / cfg.name, finished_outcomes(cfg, jobs, plan)
+        if outcomes:
+            plan.commands = plan_before(folder).commands or plan.commands  # this one runs nothing
+        else:
+            plan.write(Path(cfg.hydra.sweep.dir))  # for the jobs: another sweep may replace the other one meanwhile
+        plan.write(folder)  # for the tables
+        for outcome in outcomes:
+            _say_outcome(outcome)
+        if outcomes or without_data == cells:
+            _finish(cfg, outcomes or [Outcome("missing", "")] * cells)
+            raise SystemExit(0)
 
     def run(self, cfg: DictConfig) -> None:
         """Run the cell of a job, print its outcome in one line, and write the outcome to the job's folder."""
@@ -50,8 +61,7 @@ class Sweep(Experiment):
         with suppress(OSError):  # the summary says which job left no outcome
             folder.mkdir(parents=True, exist_ok=True)
             write_text(folder / OUTCOME, json.dumps(asdict(outcome)))
-        if outcome.status != "missing":
-            say(outcome.line, stderr=True)
+        _say_outcome(outcome)
         sweep = Path(hydra.sweep.dir)
         cells = read_plan(sweep).cells_with_data
         workers = cells_at_once(hydra.launcher, pool.available_cores(), cells)
@@ -62,6 +72,11 @@ class Sweep(Experiment):
 
     def end(self, cfg: DictConfig, jobs: Path) -> None:
         _finish(cfg, read_outcomes(jobs, number_of_jobs(cfg)))
+
+
+def _say_outcome(outcome: Outcome) -> None:
+    if outcome.status != "missing":
+        say(outcome.line, stderr=True)
 
 
 def _finish(cfg: DictConfig, outcomes: list[Outcome]) -> None:

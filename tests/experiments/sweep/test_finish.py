@@ -2,6 +2,7 @@
 
 import shutil
 
+from tdgbench.experiments.sweep import finish
 from tests.helpers.command import command_here
 from tests.helpers.configs import QUICK
 
@@ -29,3 +30,30 @@ def test_a_report_that_cannot_be_written_is_an_error(tmp_path, data_root):
     run = command_here(tmp_path, "method=3dgs", "scene=turntable", f"data.root={data_root}", *QUICK)
     assert run.returncode == 1
     assert "1 cell run" in run.stdout and "error: cannot write tables and report: [Errno 21]" in run.stdout
+
+
+def test_outputs_are_made_again_only_if_something_changed(tmp_path, small_results, capsys, monkeypatch):
+    experiment = tmp_path / "small"
+    shutil.copytree(small_results, experiment, ignore=shutil.ignore_patterns("tables", "report.html", "strip.png"))
+    calls, make = [], finish._write_outputs
+    monkeypatch.setattr(finish, "_write_outputs", lambda folder: calls.append(folder) or make(folder))
+    findings = finish.write_all(experiment)
+    printed = capsys.readouterr().out
+    assert finish.write_all(experiment) == findings and capsys.readouterr().out == printed and len(calls) == 1
+    record = next(experiment.rglob("cells/**/record.json"))
+    main = experiment / "tables" / "main.csv"
+    before = main.read_bytes()
+    for i, change in enumerate(
+        (
+            lambda: record.write_bytes(record.read_bytes() + b"\n"),
+            lambda: main.write_text("metric\n"),
+            lambda: (experiment / "report.html").unlink(),
+            lambda: (experiment / "tables" / finish.MADE).write_text('{"printed": "\\u001b[2J"}'),
+        )
+    ):
+        change()
+        assert finish.write_all(experiment) == findings and len(calls) == 2 + i and main.read_bytes() == before
+    made = experiment / "tables" / finish.MADE
+    made.write_text(made.read_text().replace('"printed": "', '"printed": "\\u001b[2J'))
+    finish.write_all(experiment)  # what a terminal would obey is not printed
+    assert len(calls) == 6 and "\x1b[2J" not in capsys.readouterr().out
