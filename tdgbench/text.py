@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Any
 
 MOST_NAMED = 5  # names in a message
@@ -73,6 +74,16 @@ def named(names: Iterable[str]) -> str:
     listed = list(dict.fromkeys(names))
     more = len(listed) - MOST_NAMED
     return ", ".join(listed[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """Return `; did you mean …?` with the known words that are spelled alike; empty if there is none.
+
+    >>> meant("tgd", ["tdg", "msmg"])
+    '; did you mean tdg?'
+    """
+    alike = get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return f"; did you mean {alike[0]}?" if alike else ""
 
 
 def duration(seconds: float) -> str:

@@ -16,11 +16,12 @@ from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from tdgbench.bench.options import OptionError
-from tdgbench.bench.signature import belongs_to, meant, option_meant
+from tdgbench.bench.signature import belongs_to, option_meant
 from tdgbench.cells.record import Failure
 from tdgbench.priors import PriorError, PriorUnavailableError
 from tdgbench.scenes import SceneError
 from tdgbench.scoring.metric import MetricError
+from tdgbench.text import meant
 from tdgbench.training.part import TrainingError
 
 EXPECTED_ERRORS = (OptionError, SceneError, PriorError, TrainingError, MetricError)  # messages that need no type

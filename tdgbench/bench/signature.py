@@ -11,10 +11,9 @@ import inspect
 import math
 import re
 import types
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
-from difflib import get_close_matches
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
@@ -24,7 +23,7 @@ from pydantic_core import ErrorDetails
 
 from tdgbench.cells.record import LARGEST
 from tdgbench.resources import conf_folder
-from tdgbench.text import as_typed
+from tdgbench.text import as_typed, meant
 
 SCALARS = (int, float, bool, str, type(None), Any)
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
@@ -231,16 +230,6 @@ def belongs_to(option: str) -> str:
     """
     owners = option_names().get(option)
     return f"; it belongs to {option.partition('.')[0]}={', '.join(owners)}" if owners else ""
-
-
-def meant(word: str, known: Iterable[str]) -> str:
-    """Return `; did you mean …?` with the known words that are spelled alike; empty if there is none.
-
-    >>> meant("tgd", ["tdg", "msmg"])
-    '; did you mean tdg?'
-    """
-    alike = get_close_matches(word, list(known), n=1, cutoff=0.6)
-    return f"; did you mean {alike[0]}?" if alike else ""
 
 
 def choices(group: str) -> list[str]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 from tdgbench.scenes.modalities import OTHERS
 from tdgbench.scoring import metrics
 from tdgbench.scoring.metric import ImageMetric, Metric
+from tdgbench.text import first_few, meant
 
 
 def find_metrics() -> dict[str, Metric]:
@@ -59,12 +61,22 @@ def on_training_views(among: Mapping[str, Metric]) -> dict[str, ImageMetric]:
 
 def _imported(name: str) -> Metric:
     module, _, variable = name.rpartition(".")
+    here = [path.stem for path in sorted(Path.cwd().glob("*.py"))]
+    if not module:
+        of_here = f"{name}.NAME" if name in here else first_few(f"{one}.{name}" for one in here)
+        raise ValueError(f"{name} is no MODULE.NAME; of the modules here it may be {of_here or 'none'}")
     try:
-        found = getattr(importlib.import_module(module), variable)
+        content = vars(importlib.import_module(module))
     except Exception as error:  # a module of the user may raise anything
-        raise ValueError(f"{name} cannot be imported ({type(error).__name__}: {error})") from error
+        near = ""
+        if isinstance(error, ModuleNotFoundError) and error.name == module:
+            near = meant(module, here) or "; run this in its folder, or install it"
+        raise ValueError(f"{name} cannot be imported ({type(error).__name__}: {error}){near}") from error
+    found = content.get(variable)
     if not isinstance(found, Metric):
-        raise ValueError(f"{name} is no ImageMetric and no ViewMetric of tdgbench.scoring.metric")
+        there = [one for one, value in content.items() if isinstance(value, Metric)]
+        near = meant(variable, there) or f"; the metrics of {module}: {first_few(there) or 'none'}"
+        raise ValueError(f"{name} is no ImageMetric and no ViewMetric of tdgbench.scoring.metric{near}")
     return found
 
 

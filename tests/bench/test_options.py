@@ -5,7 +5,13 @@ from __future__ import annotations
 import pytest
 from omegaconf import OmegaConf
 
-from tdgbench.bench.options import OptionError, check_experiment_options, check_options, names_to_text
+from tdgbench.bench.options import (
+    OptionError,
+    check_experiment_options,
+    check_method_name,
+    check_options,
+    names_to_text,
+)
 from tdgbench.experiments.error_time import ErrorTimeOptions
 from tdgbench.experiments.experiment import experiment_of
 from tests.helpers.configs import config
@@ -153,3 +159,21 @@ def test_parameters_of_a_plug_in_without_annotations_must_be_finite(tmp_path, mo
     OmegaConf.update(cfg, "method.method.weight", [1.0, float("nan")])
     with pytest.raises(OptionError, match=r"method\.method\.weight\[1\]=nan: must be a finite number"):
         check_options(cfg)
+
+
+def test_the_file_of_a_method_of_the_user_is_named(tmp_path):
+    (tmp_path / "method").mkdir()
+    file = tmp_path / "method" / "mine.yaml"
+    file.write_text("name: mine\n")
+    of_command = {"provider": "command-line", "path": str(tmp_path)}
+    hydra = {"runtime": {"config_sources": [of_command], "choices": {"method": "mine"}}, "overrides": {"task": []}}
+
+    def composed(*words):
+        return OmegaConf.create({**config(f"results={tmp_path}", *words), "hydra": hydra})
+
+    with pytest.raises(OptionError, match=f"order=first: must be a valid integer .in {file}"):
+        check_options(composed("method.order=first"))
+    with pytest.raises(OptionError, match=f"is no method, .*; did you mean 3dgs. .in {file}"):
+        check_method_name(composed("method.compared_with=3dg"), None)
+    for baseline in ("3dgs", "mine"):
+        check_method_name(composed(f"method.compared_with={baseline}"), None)

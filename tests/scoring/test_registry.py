@@ -31,6 +31,24 @@ def test_a_file_is_a_metric(tmp_path, monkeypatch):
         find_metrics()
 
 
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("BIAS", "BIAS is no MODULE.NAME; of the modules here it may be biases.BIAS"),
+        ("biases", "it may be biases.NAME"),
+        ("biases.METRC", "did you mean METRIC?"),
+        ("biasses.METRIC", "did you mean biases?"),
+        ("elsewhere.METRIC", "run this in its folder, or install it"),
+    ],
+)
+def test_mistyped_metrics_of_the_user(tmp_path, monkeypatch, name, said):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "biases.py").write_text(MADE_UP)
+    with pytest.raises(ValueError, match=re.escape(said)):
+        registry.extra_metrics([name])
+
+
 def test_a_new_modality_has_the_metrics_of_every_modality(monkeypatch):
     monkeypatch.setitem(LABELS, "nir", "NIR")
     monkeypatch.setattr(registry, "OTHERS", ("rgb", "nir"))
