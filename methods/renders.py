@@ -228,7 +228,8 @@ def read_run(path: Path, scene: Scene) -> Run:
         views = [view.name for view in scene.test]
         example = json.dumps({**EXAMPLE, "split": scene.split, "views": views}, ensure_ascii=False)
         raise SceneError(
-            f"{path}, which says what made the renders, is missing; an example for {scene.name}:\n{example}"
+            f"{path}, which says what made the renders, is missing; fill in the example for {scene.name} that follows "
+            f"`failed:` at the end, or that of docs/other-programs.md\n{example}"
         )
     try:
         run = Run.model_validate_json(read_bytes(path))

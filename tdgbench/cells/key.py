@@ -90,7 +90,7 @@ def why_differs(old: Record, new: Record) -> list[str]:
     texts = {name: (before.get(name, "nothing"), after.get(name, "nothing")) for name in sorted({*before, *after})}
     changes = [f"{name}: {a} → {b}" for name, (a, b) in texts.items() if a != b]
     if old.failure is not None and not old.code:  # it ended before its files and code were known
-        return (changes if old.config else []) or [f"what it failed of in {old.failure.phase} ({old.failure.error})"]
+        return (changes if old.config else []) or [f"what failed in {old.failure.phase}"]
     (scene, _, others), (new_scene, _, new_others) = old.data.partition("-"), new.data.partition("-")
     if scene != new_scene:
         changes.append("the scene's files changed")

@@ -300,7 +300,7 @@ def test_all_faults_of_run_json_are_named_at_once(small_gray_scene, tmp_path):
     assert "JSON: Invalid JSON" in error_of(small_gray_scene, folder)
     (folder / "run.json").unlink()
     first, example = error_of(small_gray_scene, folder).splitlines()
-    assert "run.json, which says what made the renders, is missing" in first
+    assert "run.json, which says what made the renders, is missing; fill in the example" in first
     (folder / "run.json").write_text(example)
     assert rendered(small_gray_scene, folder)
 
