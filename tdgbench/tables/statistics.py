@@ -37,6 +37,15 @@ def mean_interval(values: np.ndarray) -> tuple[float, float, float]:
     return mean, mean - half, mean + half
 
 
+def with_interval(text: str, low: float, high: float, form: str) -> str:
+    """Return a number, as text, with the ends of its interval, where it has one.
+
+    >>> with_interval("+0.20 dB", -0.32, 0.72, "+.2f")
+    '+0.20 dB (-0.32 to +0.72)'
+    """
+    return text if np.isnan(low) else f"{text} ({low:{form}} to {high:{form}})"
+
+
 def seed_values(cells: pd.DataFrame) -> pd.DataFrame:
     """Return the values of `cell_rows` by seed: a column for each seed, a row for each KEYS, averages included.
 
@@ -96,10 +105,15 @@ def _values(cell: Cell) -> dict[str, np.ndarray]:
 
 def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
     """Draw REPLICATES means: seeds are drawn with replacement, and so are each one's views."""
-    shape = (REPLICATES, len(seeds))
-    means = np.array([values[rng.integers(len(values), size=(*shape, len(values)))].mean(axis=2) for values in seeds])
-    chosen = rng.integers(len(seeds), size=shape)
-    return np.take_along_axis(means, chosen[None], axis=0)[0].mean(axis=1)
+    counts = np.array([len(values) for values in seeds])
+    table = np.zeros((len(seeds), counts.max()))
+    for row, values in zip(table, seeds, strict=True):
+        row[: len(values)] = values
+    chosen = rng.integers(len(seeds), size=(REPLICATES, len(seeds), 1))
+    views = (rng.random((REPLICATES, len(seeds), counts.max())) * counts[chosen]).astype(np.intp)
+    is_drawn = np.arange(counts.max()) < counts[chosen]
+    means: np.ndarray = np.sum(table[chosen, views], axis=2, where=is_drawn) / counts[chosen[..., 0]]
+    return means.mean(axis=1)
 
 
 def _with_averages(rows: pd.DataFrame, several: pd.DataFrame) -> pd.DataFrame:
