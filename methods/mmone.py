@@ -95,24 +95,27 @@ class MultimodalControl(DensityControl):
         strength, grow, at_camera = decision or by_gradients
         rejected = by_gradients.grow & ~grow
         decomposed = self._decomposed(by_gradients.strength)
-        if rules.max_gaussians is not None:
-            decomposed = strongest(decomposed, strength, rules.max_gaussians - len(values))
+        decomposed = self._copied = strongest(decomposed, strength, self._quota(len(values), iteration))
         copies = values[decomposed]
         copies[:, self.state.columns_of(OPACITY_RGB)] = _logit(rules.off_opacity)
-        grow = grow & ~decomposed
-        if rules.max_gaussians is not None:
-            grow = strongest(grow, strength, rules.max_gaussians - len(values) - len(copies))
         if rules.decompose == "described":
             self._switch_off("opacity_logits", decomposed)
             self._switch_off("opacity_logits", self._is_spared_without("thermal"))
             self._switch_off(OPACITY_RGB, self._is_spared_without("rgb"))
-        decision = GrowthDecision(strength, grow, at_camera)
+        decision = GrowthDecision(strength, grow & ~decomposed, at_camera)
         removed, added = super().removed_and_added(change, iteration, generator, decision)
         spared = decomposed[removed]
         change.cloned += len(copies)
         change.pruned -= int(spared.sum())
         change.not_grown = int((rejected & ~decomposed).sum())
         return removed[~spared], torch.cat([copies, added])
+
+    def _growing(self, decision: GrowthDecision, remove: Tensor, iteration: int) -> Tensor:
+        """Decomposed Gaussians neither grow nor are pruned; their copies are part of what a round adds."""
+        grow, count = decision.grow, len(remove)
+        if self.rules.filled_at is not None:
+            grow, count = ~(remove | self._copied), int((~remove | self._copied).sum())
+        return strongest(grow, decision.strength, self._quota(count, iteration) - int(self._copied.sum()))
 
     def _decomposed(self, strength: Tensor) -> Tensor:
         """Return which Gaussians (N,) both modalities pull, each another way. strength: (N,), mean gradient of both."""
@@ -162,11 +165,6 @@ class MMOne(OMMG):
         rules, points = context.budget.density, context.points
         if type(rules) is not DensityRules:
             raise ValueError(f"{self.name} has a density control of its own: leave out +density")
-        if context.budget.gaussians is not None:
-            raise ValueError(
-                f"{self.name} decomposes Gaussians, however many: give budget.density.max_gaussians=NUMBER, a limit, "
-                "instead of budget.gaussians"
-            )
         if rules.uses_absolute:
             raise ValueError(f"{self.name} adds up signed gradients: leave out budget.density.gradient=absolute")
         names = ("decompose", "decompose_threshold", "off_opacity", "active_opacity", "kept_opacity")

@@ -255,14 +255,20 @@ class DensityControl:
         Where their number is given, the strongest grow, also below the threshold: as many as are missing, in equal
         parts in the rounds that are left. Each adds one Gaussian, if it is split in two.
         """
+        if self.rules.filled_at is None:
+            return strongest(decision.grow, decision.strength, self._quota(len(remove), iteration))
+        return strongest(~remove, decision.strength, self._quota(int((~remove).sum()), iteration))
+
+    def _quota(self, count: int, iteration: int) -> int:
+        """Return how many Gaussians a round may add to so many: all that a limit leaves, or an equal part of these."""
         rules = self.rules
         if rules.max_gaussians is None:
-            return decision.grow
+            return 2 * count  # no more can be added
+        missing = rules.max_gaussians - count
         if rules.filled_at is None:
-            return strongest(decision.grow, decision.strength, rules.max_gaussians - len(remove))
+            return missing
         rounds = sum(self.is_round(later) for later in range(iteration, rules.filled_at + 1))
-        missing = rules.max_gaussians - int((~remove).sum())
-        return strongest(~remove, decision.strength, math.ceil(missing / max(rounds, 1)))
+        return math.ceil(missing / max(rounds, 1))
 
     def _is_transparent(self, gaussians: Gaussians) -> Tensor:
         """Return which Gaussians (n,) a round prunes for their opacity."""

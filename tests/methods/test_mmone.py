@@ -116,8 +116,6 @@ def test_a_reset_lowers_both_opacities_and_neither_takes_a_step(small_gray_scene
 def test_another_density_control_is_refused(small_gray_scene):
     with pytest.raises(ValueError, match="leave out \\+density"):
         ready_to_train(small_gray_scene, "mmone", 3, "+density=mcmc")
-    with pytest.raises(ValueError, match="give budget\\.density\\.max_gaussians=NUMBER, a limit, instead of"):
-        ready_to_train(small_gray_scene, "mmone", 3, "budget.gaussians=900")
     with pytest.raises(ValueError, match="leave out budget\\.density\\.gradient=absolute"):
         ready_to_train(small_gray_scene, "mmone", 3, "budget.density.gradient=absolute")
 
