@@ -39,13 +39,13 @@ def test_points_that_two_training_views_see(small_scene):
 
 @pytest.fixture(scope="module")
 def stereo():
-    return instantiate(config("init=mvs_thermal", "init.points.width=64", "init.points.planes=48").init.points)
+    return instantiate(config("init=mvs_thermal", "init.points.width=64", "init.points.planes=32").init.points)
 
 
 @pytest.fixture(scope="module")
 def facade(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scenes")
-    return SyntheticDataset(folder, ReadOptions(), width=96, height=72, views=20, points=40).load("facade")
+    return SyntheticDataset(folder, ReadOptions(), width=96, height=72, views=12, points=40).load("facade")
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +102,8 @@ def test_masked_pixels_give_no_points(facade, stereo, cloud):
 
 
 def test_views_that_no_other_confirms_give_an_error(facade, stereo):
-    with pytest.raises(SceneError, match="agrees with that of 19 others; use"):
-        dataclasses.replace(stereo, agreeing=19).points(facade)
+    with pytest.raises(SceneError, match="agrees with that of 9 others; use"):
+        dataclasses.replace(stereo, agreeing=9).points(facade)
     with pytest.raises(SceneError, match="no depth of a thermal training image"):
         dataclasses.replace(stereo, degrees=0.01).points(facade)  # no view has neighbours
 

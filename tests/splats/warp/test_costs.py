@@ -16,8 +16,8 @@ if REASON is None and not hasattr(registration, "_setup_privateuseone_for_python
     REASON = "this torch has no devices in Python"
 pytestmark = pytest.mark.skipif(REASON is not None, reason=str(REASON))
 
-SETS = {"3dgs": 1, "tdg": 1, "msmg": 2}  # of Gaussians
-MOST_LAUNCHES = {"3dgs": 67, "tdg": 199, "msmg": 186}  # with a mask
+SETS = {"tdg": 1, "msmg": 2}  # of Gaussians
+MOST_LAUNCHES = {"tdg": 199, "msmg": 186}  # with a mask
 
 
 @pytest.fixture(scope="module")
