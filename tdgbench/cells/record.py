@@ -63,6 +63,9 @@ class PartReport(TypedDict, total=False):
     split: Count
     pruned: Count
     background: list[float]  # (C,) image value behind the Gaussians; left out: black
+    settled_at: Count  # of a curriculum: the iteration at which its training settled; 0: it did not
+    checks: list[tuple[Count, Count, float]]  # of held-out views: iteration, scale of the images, mean PSNR in dB
+    reason: Text  # why it settled
 
 
 @with_config(ConfigDict(extra="allow", allow_inf_nan=False))

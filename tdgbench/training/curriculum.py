@@ -13,7 +13,7 @@ import numpy as np
 
 from tdgbench.scenes import View
 from tdgbench.scenes.images import resize
-from tdgbench.training.part import Part, Report, State
+from tdgbench.training.part import Json, Part, Report, State
 
 MOSTLY = 0.5
 
@@ -31,7 +31,7 @@ class Curriculum(Part):
     The resolution follows the schedule; `advance` moves to the next one earlier.
     """
 
-    changing = ("_step", "settled_at", "is_holding", "_iteration", "_trained", "has_ended")
+    changing = ("_step", "settled_at", "is_holding", "_iteration", "_trained", "has_ended", "checks", "reason")
 
     def __init__(self, resolutions: list[Resolution] | None = None, held_out: list[View] | None = None) -> None:
         """resolutions: below the full one, the lowest first. held_out: views that are not trained on at first."""
@@ -42,6 +42,8 @@ class Curriculum(Part):
         self._scales = [*(resolution.scale for resolution in self.resolutions), 1]
         self._step = 0  # the resolution in use; that after the last one is the full one
         self.settled_at = 0  # the last iteration before the tail; 0: there is none yet
+        self.checks: list[list[float]] = []  # of held-out views: iteration, scale, mean PSNR in dB
+        self.reason = ""  # why it settled
         self.has_ended = False  # after the tail: the model is trained no more
         self._shrunk: dict[str, View] = {}
         self._iteration = 0
@@ -60,9 +62,9 @@ class Curriculum(Part):
         """Go on to the next resolution."""
         self._use(min(self._step + 1, len(self.resolutions)))
 
-    def settle(self, scale: int) -> None:
+    def settle(self, scale: int, reason: str = "") -> None:
         """Train on the held-out views as well from now on, at a fixed scale."""
-        self.is_holding, self.settled_at = False, max(1, self._iteration)
+        self.is_holding, self.settled_at, self.reason = False, max(1, self._iteration), reason
         self._use(self._scales.index(scale))
 
     def _use(self, step: int) -> None:
@@ -102,7 +104,11 @@ class Curriculum(Part):
 
     def report(self) -> Report:
         by_scale = {f"1/{scale}": count for scale, count in self.iterations.items()}
-        return {"iterations": by_scale, "held_out": len(self.held_out), "settled_at": self.settled_at}
+        report: dict[str, Json] = {
+            "iterations": by_scale, "held_out": len(self.held_out), "settled_at": self.settled_at, "checks": self.checks,
+            "reason": self.reason,
+        }  # fmt: skip
+        return {name: value for name, value in report.items() if value != [] and value != ""}
 
 
 def evenly_spread(views: list[View], count: int) -> list[View]:

@@ -106,6 +106,8 @@ class _Loop:
         step = trainer.stage.step(iteration)
         if not isinstance(step, Step):
             raise TypeError(f"the method's step returned {type(step).__name__}; it must return a Step")
+        if not step.loss.requires_grad:
+            raise TypeError("the loss of the method's step has no gradient: is it detached, or made under no_grad?")
         ends_stage = _ends(trainer, iteration, _checked_loss(step, trainer, iteration))
         log.iterations += 1
         log.ended = ends_stage and trainer.is_last_stage

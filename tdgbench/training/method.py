@@ -78,14 +78,14 @@ class Method:
 
     def setup(self, context: Context) -> None:
         """Make the parts; called once, before the first step."""
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} lacks setup(self, context), which makes its parts")
 
     def step(self, iteration: int) -> Step:
         """Return the loss of an iteration (1-based), with the render that it used.
 
         Masked pixels must have no part in the loss: `Modality.tensors_of` gives the mask.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} lacks step(self, iteration), which returns a Step")
 
     def stages(self) -> list[Stage]:
         """Return the stages of the training, one after the other; by default one of `setup` and `step`."""
@@ -97,6 +97,8 @@ class Method:
 
         A method that does not train may have no depth, and raise NotApplicableError for all but the test views.
         """
+        if not hasattr(self, "model"):
+            raise NotImplementedError(f"{type(self).__name__} lacks render(self, frame), or self.model, made in setup")
         return self.model.render(frame.camera, depth=True)
 
     def step_seconds(self) -> float:

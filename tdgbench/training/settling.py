@@ -12,7 +12,7 @@ from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from tdgbench.scenes import View
 from tdgbench.training.curriculum import Curriculum, evenly_spread
-from tdgbench.training.part import Part, Report, State, Stopping
+from tdgbench.training.part import Part, State, Stopping
 from tdgbench.training.rule import Rule, Watched
 from tdgbench.training.skips import Finished, Skip
 
@@ -79,7 +79,7 @@ class Settling(Stopping):
     """Raises the resolution, lowers the learning rates and ends a training, by the PSNR of held-out views."""
 
     reads_loss = False
-    changing = ("_scale", "_psnrs", "_stalls", "_best_scale", "_best_psnrs", "_no_better", "_checks", "_reason")
+    changing = ("_scale", "_psnrs", "_stalls", "_best_scale", "_best_psnrs", "_no_better")
 
     def __init__(
         self,
@@ -99,8 +99,6 @@ class Settling(Stopping):
         self._stalls = 0  # of the last checks, in a row
         self._best_scale, self._best_psnrs = 0, list[float]()  # of the resolutions before, at its end; 0: none
         self._no_better = 0  # resolutions in a row since then
-        self._checks: list[list[float]] = []  # iteration, scale, mean PSNR (dB) of every check
-        self._reason = ""  # why it settled
 
     def load_state_dict(self, saved: State) -> None:
         super().load_state_dict(saved)
@@ -136,7 +134,7 @@ class Settling(Stopping):
         if is_full and iteration <= rule.last_after:
             return
         self._psnrs.append([self.psnr_of(view) for view in curriculum.held_out])
-        self._checks.append([iteration, curriculum.scale, round(float(np.mean(self._psnrs[-1])), 3)])
+        curriculum.checks.append([iteration, curriculum.scale, round(float(np.mean(self._psnrs[-1])), 3)])
         last = last_window(rule, self._psnrs, rule.last_checks if is_full else rule.checks)
         if last is None:
             return
@@ -153,13 +151,9 @@ class Settling(Stopping):
             curriculum.advance()
             self._leave_resolution()
 
-    def report(self) -> Report:
-        return {"checks": self._checks, "reason": self._reason} if self._checks else {}
-
     def _settle(self, scale: int, reason: str) -> None:
         """Begin the tail, at a scale."""
-        self._reason = reason
-        self.curriculum.settle(scale)
+        self.curriculum.settle(scale, reason)
         self._stop_growth()
 
     def _slow_down(self, iteration: int) -> None:
@@ -203,9 +197,6 @@ class AllSettled(Stopping):
     def load_state_dict(self, saved: State) -> None:
         for name, rule in self.rules.items():
             rule.load_state_dict(saved[name])
-
-    def report(self) -> Report:
-        return {name: rule.report() for name, rule in self.rules.items() if rule.report()}
 
     def reached(self, iteration: int, loss: float) -> bool:
         reached = [rule.reached(iteration, loss) for rule in self.rules.values()]  # all of them look

@@ -79,9 +79,13 @@ def test_the_clock_stands_still_while_someone_looks(small_scene):
 
 def test_what_is_no_step_is_named(small_gray_scene):
     trainer = ready_to_train(small_gray_scene, "3dgs", 3)
-    trainer.stages[0] = trainer.stages[0]._replace(step=lambda iteration: torch.zeros(()))
-    with pytest.raises(TypeError, match="the method's step returned Tensor; it must return a Step"):
-        train(trainer)
+    for returned, said in (
+        (torch.zeros(()), "the method's step returned Tensor; it must return a Step"),
+        (Step(torch.zeros(()), {}, Render(*[torch.zeros(())] * 3), torch.zeros(())), "step has no gradient"),
+    ):
+        trainer.stages[0] = trainer.stages[0]._replace(step=lambda iteration, returned=returned: returned)
+        with pytest.raises(TypeError, match=said):
+            train(trainer)
 
 
 def test_a_nan_that_no_view_shows_is_found_too(small_scene):
