@@ -105,9 +105,12 @@ class Curriculum(Part):
     def report(self) -> Report:
         by_scale = {f"1/{scale}": count for scale, count in self.iterations.items()}
         report: dict[str, Json] = {
-            "iterations": by_scale, "held_out": len(self.held_out), "settled_at": self.settled_at, "checks": self.checks,
+            "iterations": by_scale,
+            "held_out": len(self.held_out),
+            "settled_at": self.settled_at,
+            "checks": self.checks,
             "reason": self.reason,
-        }  # fmt: skip
+        }
         return {name: value for name, value in report.items() if value != [] and value != ""}
 
 
