@@ -14,6 +14,7 @@ import torch
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from yaml import YAMLError  # type: ignore[import-untyped]
 
 from tdgbench.bench.options import OptionError
 from tdgbench.bench.signature import belongs_to, option_meant
@@ -144,9 +145,8 @@ def _of_choice(error: MissingConfigException, words: Sequence[str]) -> str:
         return ""
     group, _, choice = error.missing_cfg_file.rpartition("/")
     there = ", ".join(error.options)
-    own = ""
-    if any("=" in word for word in words) and not {"--config-dir", "-cd"} & set(words):
-        own = f"; a file of yours, DIR/{error.missing_cfg_file}.yaml, needs --config-dir DIR"
+    typed = any("=" in word for word in words)
+    own = f"; a file of yours needs --config-dir DIR, with DIR/{error.missing_cfg_file}.yaml" if typed else ""
     return f"{group}={choice}: there is no such {group}{meant(choice, error.options)} (there are {there}){own}"
 
 
@@ -173,5 +173,6 @@ _MESSAGES: tuple[tuple[Any, Callable[..., str]], ...] = (  # the first one that 
     (MissingConfigException, _of_choice),
     (ConfigCompositionException, _of_option),
     ((HydraException, OmegaConfBaseException), _of_configuration),
+    (YAMLError, lambda error, words: f"a YAML file cannot be read: {' '.join(str(error).split())}"),
     ((OSError, *EXPECTED_ERRORS), lambda error, words: str(error)),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from pkgutil import resolve_name
@@ -26,8 +27,9 @@ from tdgbench.bench.signature import (
     signature_problems,
 )
 from tdgbench.cells.key import flat
-from tdgbench.cells.plan import method_entries
+from tdgbench.cells.plan import LONGEST_LABEL, method_entries
 from tdgbench.cells.record import LARGEST
+from tdgbench.scenes.modalities import LABELS
 from tdgbench.splats.backends import backend_names
 from tdgbench.splats.density import GradientKind
 from tdgbench.text import meant
@@ -210,7 +212,7 @@ class _Prior(_PlugIn):
 
 class _Method(_PlugIn):
     name: Annotated[str, Field(min_length=1)]
-    label: str | None = None
+    label: Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)] | None = None
     order: int | None = None
     compared_with: str | None = None
     paper_iterations: PositiveInt | None = None
@@ -287,6 +289,8 @@ def _object_problems(plain: Any, name: str) -> Iterator[Problem]:
 def _target_problems(plain: dict[str, Any], name: str) -> Iterator[Problem]:
     """Yield problems of a `_target_` and of its own options, not of options that have a `_target_` themselves."""
     try:
+        if name == "method":
+            raise TypeError("it stands below `method:` in the file, with the options of its class")
         target = _import(str(plain["_target_"]))
     except Exception as error:  # a plug-in's module may raise anything
         yield Problem(f"{name}._target_", f"cannot be imported ({type(error).__name__}: {error})", plain["_target_"])
@@ -295,6 +299,9 @@ def _target_problems(plain: dict[str, Any], name: str) -> Iterator[Problem]:
         rule = f"must be a class that derives from {Method.__module__}.{Method.__name__}"
         yield Problem(f"{name}._target_", rule, plain["_target_"])
         return
+    if name == "method.method" and (unknown := set(target.modalities) - set(LABELS)):
+        what = f"has modalities {', '.join(sorted(unknown))}; there are {', '.join(LABELS)}"
+        yield Problem(f"{name}._target_", what, plain["_target_"])
     nested = [k for k, v in plain.items() if isinstance(v, dict) and "_target_" in v]
     given = {k: v for k, v in plain.items() if not k.startswith("_") and k not in nested}
     yield from signature_problems(target, given, name, elsewhere=nested, partial=bool(plain.get("_partial_")))
@@ -309,6 +316,8 @@ def _import(path: str) -> Any:
         if not module.startswith(str(error.name)):
             raise
         return resolve_name(path)  # `package.module.Class.name`
+    except AttributeError as error:
+        raise AttributeError(f"{error}{meant(name, dir(sys.modules.get(module)))}") from error
 
 
 def _resolved(cfg: DictConfig) -> tuple[dict[Any, Any], list[Problem]]:

@@ -18,6 +18,7 @@ from tdgbench.scoring import RenderedImages, Scorer, Scores, mean_scores, to_8bi
 from tdgbench.scoring.scored_view import NotApplicableError
 from tdgbench.splats.cpu import pool
 from tdgbench.thermal import IDEAL, ImageResponse
+from tdgbench.training.images import MODALITIES
 from tdgbench.training.trainer import Trainer
 
 VIEWS_A_THREAD = 2  # training views that are rendered before they are scored together
@@ -82,9 +83,14 @@ def render_images(
     render = method.render(frame).cpu()
     if render.depth is None and method.trains:
         raise TypeError(f"{method.name}.render gives no depth; a method must render depth with the image")
-    image = render.image.numpy()
-    rendered = {name: method.render(frame, name).cpu().image.numpy() for name in others if name in method.modalities}
-    return RenderedImages(response.shown(image, view.name), depth_of(render), rendered, response.temperatures(image))
+    images = {THERMAL: render.image.numpy()}
+    images |= {name: method.render(frame, name).cpu().image.numpy() for name in others if name in method.modalities}
+    for name, image in images.items():
+        expected = view.camera.height, view.camera.width, MODALITIES[name].channels(trainer.context.scene)
+        if image.shape != expected:
+            raise TypeError(f"{method.name}.render gives {image.shape} for {name} of view {view.name}, not {expected}")
+    image = images.pop(THERMAL)
+    return RenderedImages(response.shown(image, view.name), depth_of(render), images, response.temperatures(image))
 
 
 def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:

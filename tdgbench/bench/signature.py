@@ -71,7 +71,7 @@ def signature_problems(
     for option in [*options, *elsewhere]:
         parameter, value = parameters.get(option, others), options.get(option)
         if parameter is None or parameter.kind is parameter.VAR_POSITIONAL:
-            known = ", ".join(p.name for p in named) or "none"
+            known = ", ".join(p.name for p in named) or "none (does its class lack @dataclass?)"
             problems.append(Problem(f"{name}.{option}", f"is no option; there are {known}", value))
         elif option in options:
             problems += type_problems(hints.get(parameter.name, Any), value, f"{name}.{option}")

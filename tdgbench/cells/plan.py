@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -26,12 +26,13 @@ OF_A_CELL = ("method", "dataset", "scene", "init", "seed")
 IN_THE_PATH = (*OF_A_CELL, "name", "results")  # keys that are part of a cell's path or do not concern it
 SET_ALONE = ("scene", "seed")  # options that no file and no other option hangs on
 LAST = 1000  # order of a method that names none
+LONGEST_LABEL = 100  # characters
 
 
 class MethodEntry(NamedTuple):
     """How tables print a method, as its file says: label, order of its column, baseline."""
 
-    label: Annotated[str, Field(min_length=1, max_length=100)]
+    label: Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)]
     order: int = LAST
     compared_with: str | None = None
 
@@ -39,13 +40,16 @@ class MethodEntry(NamedTuple):
 class MetricEntry(NamedTuple):
     """How tables print a metric of the user, as its description says."""
 
-    label: Annotated[str, Field(min_length=1, max_length=100)]
+    label: Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)]
     meaning: Annotated[str, Field(max_length=1000)]
     unit: Annotated[str, Field(max_length=20)]
     digits: Annotated[int, Field(ge=0, le=9)]
     higher_is_better: bool
     limits: tuple[float | None, float | None]  # None: infinite
     images: Annotated[str, Field(max_length=100)]
+
+
+Entry = TypeVar("Entry", MethodEntry, MetricEntry)
 
 
 @dataclass
@@ -118,11 +122,19 @@ def method_entries(conf: Path, chosen: Sequence[str] = ("*",)) -> dict[str, Meth
     entries = {}
     for path in sorted(path for choice in chosen for path in (conf / "method").glob(f"{choice}.yaml")):
         content: Any = OmegaConf.load(path)
-        name, order = str(content.get("name", path.stem)), content.get("order", LAST)
-        if not isinstance(order, int):
-            raise ValueError(f"{path}: order is {order}; it must be a whole number")
-        entries[name] = MethodEntry(str(content.get("label", name)), order, content.get("compared_with"))
+        name = str(content.get("name", path.stem))
+        stated = {key: content[key] for key in MethodEntry._fields if key in content}
+        entries[name] = checked(MethodEntry, {"label": name, **stated}, str(path))
     return entries
+
+
+def checked(kind: type[Entry], stated: dict[str, Any], source: str) -> Entry:
+    """Return an entry that a plan can hold. Raises ValueError, naming the source, for what it cannot."""
+    try:
+        return TypeAdapter(kind).validate_python(stated, strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise ValueError(f"{source}: {'.'.join(map(str, first['loc']))} {first['input']!r}: {first['msg']}") from error
 
 
 def plan_of_job(sweep_folder: Path) -> Plan:

@@ -41,6 +41,10 @@ def extra_metrics(names: Iterable[str]) -> list[Metric]:
     for i, metric in enumerate(found):
         if metric.name in {*METRICS, *(other.name for other in found[:i])}:
             raise ValueError(f"there is another metric {metric.name}; give yours another name")
+        if not metric.name.isidentifier() or not metric.limits[0] < metric.limits[1]:
+            raise ValueError(
+                f"metric {metric.name!r}: a name has letters, digits and underscores, limits are (LOW, HIGH)"
+            )
         if metric.in_main_table or metric.beside:
             raise ValueError(
                 f"{metric.name} may not be a column of the main table (in_main_table, beside), which is that of the "

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import inf, isinf, nan
 from typing import Any
 
-from tdgbench.cells.plan import MetricEntry
+from tdgbench.cells.plan import MetricEntry, checked
 from tdgbench.cells.record import Record
 from tdgbench.scenes.inputs import ROWS_OF_AVERAGES
 from tdgbench.scenes.modalities import OTHERS
@@ -73,14 +73,12 @@ def entries_of(extra: Iterable[str]) -> dict[str, MetricEntry]:
     taken = [one.name for one in found if one.name in _BUILT_IN]
     if taken:
         raise ValueError(f"metrics.extra: {taken[0]} is another number of the tables; give your metric another name")
-    return {
-        one.name: MetricEntry(
-            one.label, one.meaning, one.unit, one.digits, one.higher_is_better,
-            (None if isinf(one.limits[0]) else one.limits[0], None if isinf(one.limits[1]) else one.limits[1]),
-            one.images,
-        )
-        for one in found
-    }  # fmt: skip
+    entries = {}
+    for one in found:
+        stated = {name: getattr(one, name) for name in MetricEntry._fields}
+        stated["limits"] = tuple(None if isinf(limit) else limit for limit in one.limits)
+        entries[one.name] = checked(MetricEntry, stated, f"metric {one.name}")
+    return entries
 
 
 def learn(own_metrics: Mapping[str, MetricEntry]) -> None:

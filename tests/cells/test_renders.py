@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -56,8 +58,11 @@ def test_a_cell_of_a_gpu_is_rendered_again_with_its_constants():
     assert blending_of(record) == AS_3DGS
 
 
-def test_a_method_that_renders_no_depth_is_named(small_gray_scene, monkeypatch):
+def test_a_method_that_renders_no_depth_or_another_size_is_named(small_gray_scene, monkeypatch):
     trainer = ready_to_train(small_gray_scene, "3dgs", 3)
-    monkeypatch.setattr(trainer.method, "render", lambda frame: trainer.method.model.render(frame.camera))
-    with pytest.raises(TypeError, match=r"3dgs\.render gives no depth"), torch.no_grad():
-        render_images(trainer, small_gray_scene.test[0])
+    render = trainer.method.model.render(small_gray_scene.test[0].camera)
+    narrow = replace(render, image=render.image[:, 1:], depth=render.image[..., 0])
+    for wrong, said in ((render, "no depth"), (narrow, r"\(36, 47, 1\) for thermal of view")):
+        monkeypatch.setattr(trainer.method, "render", lambda frame, wrong=wrong: wrong)
+        with pytest.raises(TypeError, match=rf"3dgs\.render gives {said}"), torch.no_grad():
+            render_images(trainer, small_gray_scene.test[0])

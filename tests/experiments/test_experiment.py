@@ -106,12 +106,14 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
     ("thermal_camera.rig=maybe", "thermal_camera.rig=maybe: must be a valid boolean or auto"),
     ("method.method._target_=pathlib.Path",
      "method.method._target_=pathlib.Path: must be a class that derives from tdgbench.training.method.Method"),
+    ("method.method._target_=methods.tdg.TDgg", "method.method._target_=methods.tdg.TDgg: cannot be imported (Attr"),
+    ("+method._target_=methods.tdg.TDg", "method._target_=methods.tdg.TDg: cannot be imported (TypeError: it stands b"),
     ("study._target_=nosuch.Class", "study._target_=nosuch.Class: cannot be loaded: Error loading 'nosuch.Class'"),
 ])  # fmt: skip
 def test_what_there_is_not_is_one_line_with_what_there_is(tmp_path, word, said):
     run = command_here(tmp_path, *word.split())
     assert run.returncode == 1 and run.stderr.startswith(f"error: {said}") and run.stderr.count("\n") == 1, run.stderr
-    own = f"; a file of yours, DIR/{word.lstrip('+').replace('=', '/')}.yaml, needs --config-dir DIR\n"
+    own = f"; a file of yours needs --config-dir DIR, with DIR/{word.lstrip('+').replace('=', '/')}.yaml\n"
     assert run.stderr.endswith(own) == ("there is no such" in said and "file" not in said)
 
 

@@ -38,13 +38,15 @@ def test_a_file_is_a_metric(tmp_path, monkeypatch):
         ("biases", "it may be biases.NAME"),
         ("biases.METRC", "did you mean METRIC?"),
         ("biasses.METRIC", "did you mean biases?"),
+        ("biases.SPACED", "metric 'a b': a name has letters, digits and underscores"),
         ("elsewhere.METRIC", "run this in its folder, or install it"),
     ],
 )
 def test_mistyped_metrics_of_the_user(tmp_path, monkeypatch, name, said):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    (tmp_path / "biases.py").write_text(MADE_UP)
+    spaced = "import dataclasses\nSPACED = dataclasses.replace(METRIC, name='a b')\n"
+    (tmp_path / "biases.py").write_text(MADE_UP + spaced)
     with pytest.raises(ValueError, match=re.escape(said)):
         registry.extra_metrics([name])
 

@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from tdgbench.cells.plan import Plan
+from tdgbench.cells.plan import Plan, method_entries
 from tdgbench.report.report_page import write_report
 from tdgbench.resources import conf_folder
 from tdgbench.tables import methods
@@ -36,6 +36,10 @@ def test_every_method_has_a_label():
 def test_labels_are_not_inherited(conf):
     (conf / "mine.yaml").write_text("defaults: [tdg, _self_]\nname: mine\n")
     assert methods.entry("mine") == ("mine", methods.LAST, None)
+    for wrong in ("order: first", "label: ''"):  # a plan with it could not be read
+        (conf / "mine.yaml").write_text(wrong)
+        with pytest.raises(ValueError, match=f"{conf / 'mine.yaml'}: {wrong.split(':')[0]} "):
+            method_entries(conf.parent)
 
 
 def test_a_new_method_is_printed_and_compared(tmp_path, conf):
