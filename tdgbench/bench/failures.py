@@ -91,7 +91,7 @@ def place_of(error: BaseException) -> str:
 def _text(error: BaseException) -> str:
     """Return the text of an error, with the remedy."""
     kind = _environment_kind(error)
-    text = str(error)
+    text = "; ".join([str(error), *getattr(error, "__notes__", ())])
     if isinstance(error, SystemExit):
         text = f"its code ended the process with status {error.code}; it must raise an error instead"
     return text if kind is None else f"{text} ({REMEDIES[kind]})" if text else REMEDIES[kind]

@@ -184,6 +184,12 @@ def _skips(allowed: dict[str, Any]) -> dict[str, Any]:
     return allowed
 
 
+def _whole(group: dict[str, Any]) -> dict[str, Any]:
+    if "_target_" not in group:
+        raise ValueError("lacks `_target_`: begin its file with `defaults: [CHOICE, _self_]`, a file of tdgbench")
+    return group
+
+
 class _Group(BaseModel):
     model_config = ConfigDict(**STRICT, extra="forbid")
 
@@ -253,8 +259,8 @@ class _Options(_Group):
     prior: _Prior
     method: _Method
     backend: _Backend
-    budget: dict[str, Any]
-    metrics: dict[str, Any]
+    budget: Annotated[dict[str, Any], AfterValidator(_whole)]
+    metrics: Annotated[dict[str, Any], AfterValidator(_whole)]
     skip: Annotated[dict[str, Any], AfterValidator(_skips)]
     thermal_camera: _ThermalCamera
     study: dict[str, Any]

@@ -182,6 +182,7 @@ WORDS = {  # by pydantic's type of error, where its own message does not name op
     "missing": "is missing",
     "extra_forbidden": UNKNOWN,
     "string_too_short": "must not be empty",
+    "list_type": "must be a valid list, such as [a]",
     "dict_type": "must be a group of options",
     "model_type": "must be a group of options",
 }

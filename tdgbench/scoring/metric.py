@@ -97,7 +97,12 @@ class Metric(Measure, ABC):
 
     def score(self, shown: ScoredView) -> float:
         """Return the value. Raises NotApplicableError where there is none, MetricError for none that counts."""
-        value, (low, high) = self.computed(shown), self.limits
+        where, (low, high) = f"metric {self.name} of view {shown.view.name}", self.limits
+        try:
+            value = self.computed(shown)
+        except Exception as error:
+            error.add_note(where)
+            raise
         if isinstance(value, Real) and math.isfinite(value) and low - SLACK <= value <= high + SLACK:
             return value  # type: ignore[return-value]
         wrong, remedy = f"of type {type(value).__name__}", "return a float"
@@ -106,8 +111,9 @@ class Metric(Measure, ABC):
             if math.isfinite(value):
                 wrong += f", outside its limits {low:g} to {high:g}"
                 remedy = "mend it, declare limits=(LOW, HIGH) that hold it"
-        where = f"metric {self.name} of view {shown.view.name} is {wrong}"
-        raise MetricError(f"{where}: {remedy}, or raise NotApplicableError with the reason where there is no value")
+        raise MetricError(
+            f"{where} is {wrong}: {remedy}, or raise NotApplicableError with the reason where there is no value"
+        )
 
     @abstractmethod
     def computed(self, shown: ScoredView) -> float:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hydra.utils import instantiate
 
+from tdgbench.bench.failures import message
 from tdgbench.scenes.modalities import LABELS
 from tdgbench.scoring import METRICS, RenderedImages, metrics, registry
 from tdgbench.scoring.metric import ImageMetric, MetricError
@@ -102,6 +104,9 @@ def test_values_that_count_for_nothing_are_refused(small_gray_scene, value, said
     shown = ScoredView(view, RenderedImages(view.thermal, None), Convention("zero", float))
     with pytest.raises(MetricError, match=re.escape(f"metric bias of view {view.name} {said}")):
         metric.score(shown)
+    with pytest.raises(ZeroDivisionError) as caught:
+        replace(metric, of_images=lambda pair: 1 / 0).score(shown)
+    assert message(caught.value) == f"ZeroDivisionError: division by zero; metric bias of view {view.name}"
 
 
 def test_the_rgb_model_is_described_like_the_thermal_one():
