@@ -14,7 +14,7 @@ from statistics import fmean
 from typing import Any
 
 from tdgbench.cells.folder import hashes_of_content
-from tdgbench.cells.paths import folder_name
+from tdgbench.cells.paths import VIEWS_FILE, folder_name
 from tdgbench.cells.plan import Plan, read_plan
 from tdgbench.cells.protocol import protocol_settings
 from tdgbench.cells.record import Record
@@ -24,9 +24,9 @@ from tdgbench.packs.manifest import Manifest
 from tdgbench.present.grid import GridCell
 from tdgbench.site.budgets import training_in_words
 from tdgbench.tables.build import Tables, build_tables
-from tdgbench.tables.grids import SCENE_KEYS
+from tdgbench.tables.grids import SCENE_KEYS, main_grid
 from tdgbench.tables.long_table import method_label, metric_value
-from tdgbench.tables.measures import AVERAGE, COLUMNS, MEASURES, OVERALL
+from tdgbench.tables.measures import AVERAGE, COLUMNS, MEASURES, OVERALL, TRAINING, learn
 from tdgbench.tables.palette import image_values
 from tdgbench.tables.results import Cell
 
@@ -70,9 +70,10 @@ class Pack:
 class BoardRow:
     """A row of a leaderboard: a method's column on one scene, or on average over those of a pack.
 
-    settings: of its protocol. scores: of each of SCORES. setups: what its cells have to share with those of a rival, as
-    text. ranks: best and worst one among its rivals of all packs, see `ranked`; None for the reason in `unranked`.
-    twin: another pack with the same cells.
+    settings: of its protocol. scores: of each of SCORES. own: of the pack's own metrics, by title and meaning. setups:
+    what its cells have to share with those of a rival, as JSON. ranks: best and worst one among `rivals` rows of all
+    packs, see `ranked`; None for the reason in `unranked`. tied: those that it cannot be told from. twin: another pack
+    with the same cells.
     """
 
     pack: Pack
@@ -84,8 +85,11 @@ class BoardRow:
     column: str  # the method with its points and overrides
     cells: list[Cell]
     scores: tuple[GridCell, ...]
+    own: dict[tuple[str, str], GridCell]
     setups: frozenset[str] = frozenset()
     ranks: tuple[int, int] | None = None
+    rivals: int = 0
+    tied: tuple[str, ...] = ()
     unranked: str = "no other row to compare with"
     twin: str = ""
 
@@ -108,9 +112,15 @@ class BoardRow:
 
     @property
     def content(self) -> frozenset[str]:
-        """The files of its cells."""
-        hashes = [hashes_of_content(record.hashes) for record in self.records]
-        return frozenset(json.dumps(one, sort_keys=True) for one in hashes) if all(hashes) else frozenset()
+        """What its cells share with equal ones, whatever else they are scored by: PSNR and files but tables."""
+        found = [
+            (
+                round(metric_value(one, "psnr")[0], 6),
+                {n: h for n, h in hashes_of_content(one.hashes).items() if n != VIEWS_FILE},
+            )
+            for one in self.records
+        ]
+        return frozenset(json.dumps(one, sort_keys=True) for one in found) if all(h for _, h in found) else frozenset()
 
     @property
     def scenes(self) -> list[str]:
@@ -128,7 +138,6 @@ class BoardRow:
                   for r in self.records}  # fmt: skip
         return {
             "seeds": str(len({record.seed for record in self.records})),
-            "budget": joined(str(record.setting("budget.name") or "n/a") for record in self.records),
             "iterations": joined(str(cell.planned_iterations) for cell in self.cells),
             "size, px": joined(size_of(cell) for cell in self.cells),
             "range, °C": "several" if len(ranges) > 1 else ranges.pop(),
@@ -207,6 +216,10 @@ def rows_of(pack: Pack, setups: Mapping[Path, str]) -> list[BoardRow]:
     setups: of the cells of all packs, by folder.
     """
     protocols, heads = pack.tables.main.set_index(SCENE_KEYS)["protocol"].to_dict(), pack.tables.grid.columns
+    own = own_metrics(pack)
+    titles = [(MEASURES[name].title, MEASURES[name].meaning) for name in own]
+    further = main_grid(pack.tables.main.assign(bold=False), None, own).rows if own else []
+    of_place = {row.place: row.cells for row in further}
     scenes = {cell.dataset_and_scene for cell in pack.cells}
     in_dataset = Counter(dataset for dataset, _ in scenes)
     rows = []
@@ -220,9 +233,16 @@ def rows_of(pack: Pack, setups: Mapping[Path, str]) -> list[BoardRow]:
             first, found = cells[0].record, frozenset(setups[cell.folder] for cell in cells)
             rows.append(
                 BoardRow(pack, protocols[row.place], protocol_settings(first.config), dataset, scene, first.method,
-                         column, cells, scores, found)
+                         column, cells, scores, dict(zip(titles, of_place.get(row.place, ()), strict=True)), found)
             )  # fmt: skip
     return rows
+
+
+def own_metrics(pack: Pack) -> list[str]:
+    """Return the metrics of a pack that are none of tdgbench's; from now on, they are printed as this pack says."""
+    learn(pack.plan.own_metrics)
+    known = set(pack.tables.main.loc[pack.tables.main["value"].notna(), "metric"])
+    return [name for name in pack.plan.own_metrics if name in known and name not in (*SCORES, *TRAINING)]
 
 
 def _is_behind(cell: Cell, dataset: str, scene: str, column: str) -> bool:

@@ -2,56 +2,62 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
 from tdgbench.present.figures import as_svg, plain
 from tdgbench.site.packed import SCORES, BoardRow
-from tdgbench.site.ranking import UNLIKE
+from tdgbench.site.ranking import is_unlike
 from tdgbench.tables import methods
 from tdgbench.tables.measures import HOURS
 from tdgbench.text import duration, shortened
 
 TICKS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000, 86400)  # s
-MOST_TICKS = 6
+STEPS = (*TICKS[:4], 15, *TICKS[4:7], 120, 300, 600, 900, *TICKS[11:])  # s, between the ticks of a short axis
+MOST_TICKS, MARGIN = 6, 1.15  # MARGIN: of times
 LIMITS = ((1e-3, 1e9), (-1e6, 1e6))  # s, dB; records of others may hold any number: drawn at the ends
-LONGEST = 32  # characters of a label
+LONGEST = 28  # characters of a label's line
 PSNR, TIME = SCORES.index("psnr"), SCORES.index(HOURS.name)
 
 
 def plots(rows: Sequence[BoardRow]) -> list[tuple[str, str]]:
     """Return SVG and caption for each machine that ran several rows; none of several scenes, or of unlike rows."""
-    if len({(row.scene, *row.scenes) for row in rows}) > 1 or any(row.unranked == UNLIKE for row in rows):
+    if len({(row.scene, *row.scenes) for row in rows}) > 1 or any(map(is_unlike, rows)):
         return []
     by_machine: dict[tuple[str, ...], list[BoardRow]] = {}
     for row in rows:
         if len(row.machines) == 1 and not row.twin and row.scores[PSNR].sort != "" and row.scores[TIME].value > 0:
             by_machine.setdefault(next(iter(row.machines)), []).append(row)
+    columns = Counter(row.column for row in rows if not row.twin)
     where = rows[0].scene if len(rows[0].scenes) == 1 else f"the mean of {', '.join(rows[0].scenes)}"
     return [
-        (plot([f"{methods.label(row.column)}, {row.pack.name}" for row in group],
+        (plot([(methods.label(row.column), row.pack.name if columns[row.column] > 1 else "") for row in group],
               *(np.array([[row.scores[TIME].value * 3600, row.scores[PSNR].value] for row in group]).T)),
-         f"{where}, on one machine ({cpu if gpu == 'None' else gpu}, threads: {threads}, cells at once: {at_once})")
+         f"{where}, on one machine ({cpu if gpu == 'None' else gpu}, threads: {threads}, cells at once: "
+         f"{'not recorded' if at_once == 'None' else at_once})")
         for (cpu, gpu, threads, at_once), group in by_machine.items() if len(group) > 1
     ]  # fmt: skip
 
 
-def plot(names: Sequence[str], seconds: np.ndarray, psnr: np.ndarray) -> str:
-    """Return points of PSNR (dB) against time on a logarithmic axis as SVG, with their names, the best one on top."""
+def plot(names: Sequence[tuple[str, str]], seconds: np.ndarray, psnr: np.ndarray) -> str:
+    """Return points of PSNR (dB) against time on a logarithmic axis as SVG, the best one's name on top.
+
+    names: of each point, in two lines.
+    """
     seconds, psnr = (np.clip(values, *limits) for values, limits in zip((seconds, psnr), LIMITS, strict=True))
-    figure = Figure(figsize=(5.2, max(2.7, 0.5 + 0.2 * len(names))))
+    lines = 1 + any(second for _, second in names)
+    figure = Figure(figsize=(3.3, max(2.7, 0.5 + 0.2 * lines * len(names))))
     axes = figure.subplots()
-    figure.subplots_adjust(left=0.11, right=0.58, bottom=0.45 / figure.get_figheight(), top=0.96)
     axes.set_xscale("log")
     axes.margins(y=0.1)
-    axes.set_xlim(max((tick for tick in TICKS if tick < seconds.min()), default=seconds.min() / 2),
-                  min((tick for tick in TICKS if tick > seconds.max()), default=seconds.max() * 2))  # fmt: skip
+    axes.set_xlim(seconds.min() / MARGIN, seconds.max() * MARGIN)
     axes.plot(seconds, psnr, "o")
-    shown = [tick for tick in TICKS if axes.get_xlim()[0] <= tick <= axes.get_xlim()[1]]
-    shown = shown[:: -(-len(shown) // MOST_TICKS) or 1]
+    shown = time_ticks(*axes.get_xlim())
     axes.xaxis.set_major_locator(FixedLocator(shown))
     axes.xaxis.set_major_formatter(FixedFormatter([duration(tick) for tick in shown]))
     axes.xaxis.set_minor_locator(NullLocator())
@@ -59,8 +65,23 @@ def plot(names: Sequence[str], seconds: np.ndarray, psnr: np.ndarray) -> str:
     axes.grid(linewidth=0.3)
     for nth, i in enumerate(np.argsort(psnr, kind="stable")):
         axes.annotate(
-            plain(shortened(names[i], LONGEST)), (seconds[i], psnr[i]), (1.04, (nth + 0.5) / len(names)),
-            textcoords="axes fraction", fontsize=9, va="center",
+            "\n".join(plain(shortened(line, LONGEST)) for line in names[i] if line), (seconds[i], psnr[i]),
+            (1.06, (nth + 0.5) / len(names)), textcoords="axes fraction", fontsize=9, va="center",
             arrowprops={"arrowstyle": "-", "linewidth": 0.5, "color": "gray", "relpos": (0, 0.5)},
         )  # fmt: skip
-    return as_svg(figure)
+    with mpl.rc_context({"savefig.bbox": "tight"}):  # labels are whole, however long
+        return as_svg(figure)
+
+
+def time_ticks(low: float, high: float) -> list[int]:
+    """Return ticks of a logarithmic axis of seconds: usual times, or on a short axis, multiples of one.
+
+    >>> time_ticks(9, 70), time_ticks(10.5, 17.4)
+    ([10, 20, 30, 60], [12, 14, 16])
+    """
+    usual = [tick for tick in TICKS if low <= tick <= high]
+    usual = usual[:: -(-len(usual) // MOST_TICKS) or 1]
+    if len(usual) > 2:
+        return usual
+    multiples = ([*range(-int(-low // step) * step, int(high) + 1, step)] for step in STEPS if step < high)
+    return next((found for found in multiples if 2 <= len(found) <= MOST_TICKS), usual or [round(low), round(high)])

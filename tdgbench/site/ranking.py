@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from tdgbench.site.packed import SCORES, BoardRow
+from tdgbench.tables import methods
 from tdgbench.tables.comparisons import change_over_seeds, told_apart
 from tdgbench.tables.measures import HOURS
-from tdgbench.tables.verdicts import BETTER, WORSE
+from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE
+from tdgbench.text import as_typed
 
 METRIC = "psnr"  # that ranks are of
 FEWEST_SEEDS = 2
-UNLIKE = "unlike trainings, images, views or ranges"
+UNLIKE = "the rows of all packs differ in "
+WITHOUT_WORDS = ("scene's files", "ground truth", "views", "masked")  # whose values tell a reader nothing
 FEW_SEEDS = "one seed, or no rival with two"
 
 
@@ -23,7 +27,7 @@ def ranked(rows: Iterable[BoardRow]) -> list[BoardRow]:
 
     Rivals have one data set, protocol, budget and scene; averages are over the same scenes. Ranks reach from one more
     than the number of rivals that are better in PSNR (`change_over_seeds`) to that of all that are not worse. A row
-    whose cells another pack holds as well counts once.
+    whose cells another pack holds as well counts once, whatever metrics of its own that pack has.
     """
     groups: dict[tuple[str, ...], list[BoardRow]] = {}
     for row in rows:
@@ -40,8 +44,12 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
     for one, twins in zip(
         _among_rivals([first for first, *_ in by_content.values()]), by_content.values(), strict=True
     ):
+        ranks = {name: getattr(one, name) for name in ("ranks", "rivals", "tied", "unranked")}
         found.append(one)
-        found += [replace(one, pack=row.pack, cells=row.cells, twin=one.pack.name) for row in twins[1:]]
+        for row in twins[1:]:
+            is_bold = [own.bold and own.value == cell.value for own, cell in zip(one.scores, row.scores, strict=True)]
+            scores = [cell._replace(bold=bold) for cell, bold in zip(row.scores, is_bold, strict=True)]
+            found.append(replace(row, **ranks, scores=tuple(scores), twin=one.pack.name))
     return found
 
 
@@ -49,19 +57,42 @@ def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:
     if len(rivals) < 2:
         return rivals
     if any(row.setups != rivals[0].setups or len(row.setups) > len(row.scenes) for row in rivals):
-        return [replace(row, unranked=UNLIKE) for row in rivals]
+        return [replace(row, unranked=UNLIKE + _differences(rivals)) for row in rivals]
     able = [i for i, row in enumerate(rivals) if len(row.by_seed(METRIC)) >= FEWEST_SEEDS]
     found = [replace(row, unranked=FEW_SEEDS) for row in rivals]
     if len(able) < 2:
         return found
     numbers = _by_seed(METRIC, [rivals[i] for i in able])
     marks = np.array([_bold(metric, [rivals[i] for i in able]) for metric in SCORES])
+    several = len({row.pack.page for row in rivals}) > 1
+    names = [methods.label(rivals[i].column) + f" ({rivals[i].pack.name})" * several for i in able]
     for nth, i in enumerate(able):
         verdicts = [change_over_seeds(METRIC, other, numbers[nth]).verdict for other in np.delete(numbers, nth, axis=0)]
+        others = [name for other, name in enumerate(names) if other != nth]
+        tied = tuple(name for name, verdict in zip(others, verdicts, strict=True) if verdict == UNDECIDED)
         scores = [cell._replace(bold=bool(bold)) for cell, bold in zip(found[i].scores, marks[:, nth], strict=True)]
         ranks = 1 + verdicts.count(BETTER), len(able) - verdicts.count(WORSE)
-        found[i] = replace(found[i], ranks=ranks, scores=tuple(scores))
+        found[i] = replace(found[i], ranks=ranks, rivals=len(able), tied=tied, scores=tuple(scores))
     return found
+
+
+def is_unlike(row: BoardRow) -> bool:
+    """Return whether a row has no rank because it and its rivals are not alike."""
+    return row.unranked.startswith(UNLIKE)
+
+
+def _differences(rows: Sequence[BoardRow]) -> str:
+    """Return in what rows that are not alike differ, with the values that tell a reader something."""
+    if rows[0].is_average:
+        return "their trainings or images of a scene"
+    stated = [json.loads(text) for row in rows for text in sorted(row.setups)]
+    values: dict[str, dict[str, None]] = {}
+    for name, value in (item for one in stated for item in one.items()):
+        values.setdefault(name, {})[as_typed(value)] = None
+    several = {name: " or ".join(found) for name, found in values.items() if len(found) > 1}
+    return "; ".join(name if name in WITHOUT_WORDS else f"{name}: {text}" for name, text in several.items()) or (
+        "options that some records lack"
+    )
 
 
 def _bold(metric: str, rows: Sequence[BoardRow]) -> list[bool]:

@@ -17,6 +17,7 @@ from tdgbench.cells.protocol import MEASURED_ON
 from tdgbench.cells.record import Record
 from tdgbench.files import whole_folder
 from tdgbench.packs.manifest import SHOWN
+from tdgbench.present.grid import GridCell
 from tdgbench.present.html import environment
 from tdgbench.report.report_page import legend
 from tdgbench.report.run_facts import environments
@@ -31,12 +32,13 @@ from tdgbench.site.packed import (
     joined,
     method_page,
     opened_packs,
+    own_metrics,
     rows_of,
     scene_page,
 )
 from tdgbench.site.picture_cards import cards_of, files_of_cards
 from tdgbench.site.psnr_time_plot import plots
-from tdgbench.site.ranking import UNLIKE, ranked
+from tdgbench.site.ranking import is_unlike, ranked
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows, doubts_of
 from tdgbench.tables.claims import judge_claims, load_claims
@@ -45,9 +47,10 @@ from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
 from tdgbench.tables.grids import reasons_for_na
 from tdgbench.tables.likeness import setups
 from tdgbench.tables.long_table import method_label, metric_value
-from tdgbench.tables.measures import COLUMNS, MEASURES, as_text
+from tdgbench.tables.measures import MEASURES, as_text
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
 from tdgbench.tables.results import Cell
+from tdgbench.tables.verdicts import load_margins
 from tdgbench.terminal import errors_in_one_line, say
 
 
@@ -79,9 +82,10 @@ def write_site(packs: Sequence[Pack], folder: Path, title: str = "") -> int:
     cells = [cell for pack in packs for cell in pack.cells]
     truths, alike = truth_groups(cells), setups([cell.record for cell in cells], with_length=True)
     by_folder = {
-        cell.folder: json.dumps([setup, truths[cell.folder], *(getattr(cell.record, name) for name in MEASURED_ON)])
+        cell.folder: json.dumps({**json.loads(setup)[-1], "ground truth": truths[cell.folder],
+                                 **{name: getattr(cell.record, name) for name in MEASURED_ON}})
         for cell, setup in zip(cells, alike, strict=True)
-    }
+    }  # fmt: skip
     rows = ranked(row for pack in packs for row in rows_of(pack, by_folder))
     if not rows:
         raise ValueError("the packs hold no finished cell")
@@ -110,6 +114,7 @@ class _Site:
             shown=SHOWN,
             mark=MARK,
             psnr=MEASURES["psnr"],
+            nothing=GridCell(),
         )
 
     def files(self) -> dict[str, bytes]:
@@ -118,7 +123,7 @@ class _Site:
         for dataset, scene in sorted({(row.dataset, scene) for row in self.rows for scene in row.scenes}):
             scenes.setdefault(dataset, []).append(scene)
         files = {"index.html": self._page("index.html.j2", "", boards=boards_of(self.rows), packs=self.packs,
-                                          legend=legend(self.packs[0].tables), data=scenes,
+                                          legend=self._legend(), data=scenes, margins=margins_in_words(),
                                           equal=equal_data(self.packs).values())}  # fmt: skip
         for name in ("site.css", "site.js"):
             files[name] = self.environment.get_template(f"{name}.j2").render().encode()
@@ -129,17 +134,24 @@ class _Site:
         for name in names:
             rows = [row for row in self.rows if row.method == name]
             files[method_page(name)] = self._page(
-                "method.html.j2", "../", name=name, reading=reading_of(name, self.packs), claims=claims[name],
-                boards=boards_of(rows),
+                "method.html.j2", "../", name=name, is_known=file_of(name) is not None, claims=claims[name],
+                reading=reading_of(name, self.packs), boards=boards_of(rows),
             )  # fmt: skip
         for pack in self.packs:
+            shown = (*SCORES, *own_metrics(pack))
             files[pack.page] = self._page(
                 "pack.html.j2", "../", pack=pack, environments=environments(pack.tables.records),
                 notes=_notes(pack.cells), doubts=doubts_of(cell.record for cell in pack.cells),
-                cells=cell_rows(pack.tables.records), reasons=reasons_for_na(pack.tables.main, COLUMNS),
+                cells=cell_rows(pack.tables.records, shown), titles=[MEASURES[name].title for name in shown],
+                reasons=reasons_for_na(pack.tables.main, shown),
                 boards=boards_of([row for row in self.rows if row.pack is pack]),
             )  # fmt: skip
         return files
+
+    def _legend(self) -> list[dict[str, str]]:
+        """Return what the scores of the leaderboards mean."""
+        return list({row["title"]: row for pack in self.packs for row in legend(pack.tables)
+                     if row["title"] in HEADS}.values())  # fmt: skip
 
     def _scene(self, dataset: str, scene: str) -> dict[str, bytes]:
         """Return a scene's page and its pictures."""
@@ -167,7 +179,7 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
     groups: dict[tuple[str, str, str], list[BoardRow]] = {}
     for row in rows:
         groups.setdefault((row.dataset, row.protocol, row.training), []).append(row)
-    boards = []
+    boards: list[dict[str, Any]] = []
     for (dataset, protocol, training), group in sorted(groups.items()):
         group.sort(key=lambda row: (not row.is_average, row.scene, row.scenes, *_place(row)))
         averages = Counter(tuple(row.scenes) for row in group if row.is_average)
@@ -182,10 +194,30 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
                        for head, cell in zip(HEADS, row.scores, strict=True) if cell.note],
             "facts": [name for name in facts if any(row.facts[name] != "n/a" for row in group)],
             "plots": plots([row for row in group if row.scenes == widest] if averages else group),
-            "mixed": sorted({row.scene for row in group if row.unranked == UNLIKE and not row.is_average}),
+            "own": sorted({key for row in group for key in row.own}),
+            "unlike": _scenes_by_reason(group), "means_unlike": any(row.is_average and is_unlike(row) for row in group),
             "palette": palette_in_words(group),
         })  # fmt: skip
+    for board in boards:
+        others = [one["settings"] for one in boards if one["dataset"] == board["dataset"]]
+        board["apart"] = [f"{name}: {value}" for name, value in board["settings"].items()
+                          if any(other.get(name) != value for other in others)]  # fmt: skip
     return boards
+
+
+def _scenes_by_reason(rows: Iterable[BoardRow]) -> dict[str, list[str]]:
+    """Return scenes whose rows cannot be compared, by what they differ in."""
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        if is_unlike(row) and not row.is_average and row.scene not in found.get(row.unranked, []):
+            found.setdefault(row.unranked, []).append(row.scene)
+    return found
+
+
+def margins_in_words() -> str:
+    """Return the differences that count as equal, of the scores of leaderboards that have a margin."""
+    known = [(MEASURES[name], margin) for name, margin in load_margins().items() if name in SCORES]
+    return ", ".join(f"{one.label} {margin:g}{one.suffix}" for one, margin in known)
 
 
 def _place(row: BoardRow) -> tuple[float, float, bool, str]:
@@ -207,19 +239,24 @@ def equal_data(packs: Iterable[Pack]) -> dict[Place, str]:
     return {twin: equal_in_words(twin, first) for twin, first in equal.items()}
 
 
-def cell_rows(records: Iterable[Record]) -> list[list[str]]:
-    """Return a row for each cell of a pack: what it is, its scores and time, and why it failed."""
+def cell_rows(records: Iterable[Record], shown: Sequence[str]) -> list[list[str]]:
+    """Return a row for each cell of a pack: what it is, the measures that are shown, and why it failed."""
     return [
         [methods.label(method_label(r, with_init=True)), f"{r.dataset}/{r.scene}", str(r.seed), training_in_words(r),
-         *("n/a" if isnan(value := metric_value(r, name)[0]) else as_text(name, value) for name in SCORES),
+         *("n/a" if isnan(value := metric_value(r, name)[0]) else as_text(name, value) for name in shown),
          r.why_failed if r.failure else "finished"] for r in records
     ]  # fmt: skip
 
 
+def file_of(method: str) -> Path | None:
+    """Return the file of a method of tdgbench; None for others."""
+    path = conf_folder() / "method" / f"{method}.yaml"
+    return path if path.name == f"{method}.yaml" and path.is_file() else None
+
+
 def reading_of(method: str, packs: Sequence[Pack]) -> str:
     """Return what was read from paper and code: the method's file, or without it, its options in a record."""
-    path = conf_folder() / "method" / f"{method}.yaml"
-    if path.name == f"{method}.yaml" and path.is_file():
+    if path := file_of(method):
         return path.read_text(encoding="utf-8")
     record = next(cell.record for pack in packs for cell in pack.cells if cell.record.method == method)
     options = record.setting("method.method")

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from tdgbench.cells.folder import hashes_below
+from tdgbench.cells.plan import MetricEntry, Plan
 from tdgbench.cells.record import read_all
 from tdgbench.packs import pack
 from tdgbench.site.budgets import training_in_words
@@ -97,12 +98,12 @@ def test_every_number_is_that_of_the_records(small_results, packed, tmp_path):
     for record in records:
         scene = {"orbit": "orbit †"}.get(record.scene, record.scene)  # in a palette
         method = {"tdg": "TDg prior synthetic"}.get(record.method, labels[record.method])
-        *numbers, seeds, budget, iterations, size, ranges, name = rows.pop((method, scene))
+        *numbers, seeds, iterations, size, ranges, name = rows.pop((method, scene))
         values = [metric_value(record, metric)[0] for metric in SCORES]
         expected = ["n/a" if np.isnan(v) else as_text(m, v) for m, v in zip(SCORES, values, strict=True)]
         assert [text.split()[0] for text in numbers] == expected and (seeds, name) == ("1", "small.zip")
         assert re.fullmatch(r"[\d.]+ [\d.]+ to [\d.]+", numbers[0])  # with the interval
-        assert (budget, iterations) == (record.setting("budget.name"), str(record.setting("budget.iterations")))
+        assert iterations == str(record.setting("budget.iterations"))
         assert re.fullmatch(r"\d+×\d+", size) and (ranges == "n/a") == (record.temperature_range is None)
     assert rows == {}  # no mean, as one scene has failed
 
@@ -117,27 +118,32 @@ def test_a_board_states_the_settings_of_its_protocol(tmp_path):
 
 
 def test_ranks_are_across_packs_and_of_like_trainings(tmp_path):
-    """One seed has no rank; equal cells of another pack count once; another budget has a table of its own."""
+    """One seed has no rank; another budget has a table; equal cells count once, also with a metric of one's own."""
     cells = (("a", "tdg", (30.0, 30.2, 30.1), {}), ("b", "msmg", (25.0, 25.1, 25.3), {}), ("c", "3dgs", (40.0,), {}),
              ("d", "msmg", (20.0, 20.1), {"iterations": 9}), ("e", "tdg", (30.0, 30.2, 30.1), {}))  # fmt: skip
     packs = []
     for name, method, psnr, budget in cells:
         for seed, value in enumerate(psnr):
-            options, hashes = {"budget": {"name": "demo", **budget}}, {"model.ply": f"{len(method)}{seed}" * 32}
-            fields = {"scores": {"psnr": value}, "config": options, "hashes": hashes}
+            options, own = {"budget": {"name": "demo", **budget}}, {"edges": 7.0 + seed} if name in "be" else {}
+            hashes = {"model.ply": f"{len(method)}{seed}" * 32, "views.csv": f"{name}{seed}" * 32}
+            fields = {"scores": {"psnr": value, **own}, "config": options, "hashes": hashes}
             write(tmp_path / name, method, "Shed", "mine", seed=seed, **fields)
+        entries = {"edges": MetricEntry("sharpness", "of edges", "dB", 1, True, (None, None), "")} if own else {}
+        Plan(own_metrics=entries).write(tmp_path / name)
         packs.append(pack(tmp_path / name, tmp_path / f"{name}.zip", keep_paths=True)[0])
     folder = make(tmp_path / "site", *packs, "--title", "Sheds & more")
     index = (folder / "index.html").read_text()
     assert "<title>Sheds &amp; more</title>" in index
     assert [(row[0], *row[1:4:2], row[-1]) for row in rows_of_index(folder)] == [
-        ("1", "TDg", "30.10 ± 0.10", "a.zip"), ("1", "TDg", "30.10 ± 0.10", "e.zip the cells of a.zip"),
+        ("1", "TDg", "30.10 ± 0.10", "a.zip"), ("1", "TDg", "30.10 ± 0.10", "e.zip same cells as a.zip, ranked once"),
         ("2", "MSMG", "25.13 ± 0.15", "b.zip"), ("–", "3DGS", "40.00", "c.zip"), ("–", "MSMG", "20.05 ± 0.07", "d.zip"),
     ]  # fmt: skip
     assert "budget demo, protocol" in index and "budget demo with iterations=9, protocol" in index
     assert re.findall(r"<b>(\d\d\.\d\d) ±", index) == ["30.10", "30.10"]
-    labels = re.findall(r"<text[^>]*>(\w+, .\.zip)</text>", index)
-    assert sorted(labels) == ["3DGS, c.zip", "MSMG, b.zip", "TDg, a.zip"]
+    assert sorted(re.findall(r"<text[^>]*>([^\d\W]\w+|3DGS)</text>", index)) == ["3DGS", "MSMG", "TDg"]
+    assert [row[8] for row in rows_of_index(folder)] == ["n/a", "8.0 ± 1.0", "8.0 ± 1.0", "n/a", "2"]
+    of_pack = next(page for page in (folder / "packs").glob("*.html") if "<h1>b.zip" in page.read_text()).read_text()
+    assert "sharpness, dB ↑ *" in index and "sharpness, dB ↑: of edges." in index and "sharpness" in of_pack
 
 
 def test_budgets_in_words_take_nothing_from_a_record_but_values(monkeypatch):
@@ -152,10 +158,12 @@ def test_budgets_in_words_take_nothing_from_a_record_but_values(monkeypatch):
 def test_rows_of_other_images_are_not_compared(tmp_path):
     packs = []
     for name, data in (("a", "1f-9"), ("b", "1f"), ("c", "2e")):  # behind the hyphen: files of a depth prior
-        write(tmp_path / name, "tdg" if name == "a" else "msmg", "Truck", data=data)
+        of_version = {"code": name.replace("b", "a"), "environment": {"packages": {"tdgbench": name}}}
+        write(tmp_path / name, "tdg" if name == "a" else "msmg", "Truck", data=data, **of_version)
         packs.append(pack(tmp_path / name, tmp_path / f"{name}.zip", keep_paths=True)[0])
-    assert "Not comparable" not in (make(tmp_path / "same", *packs[:2]) / "index.html").read_text()
-    assert "Not comparable on Truck" in (make(tmp_path / "mixed", *packs) / "index.html").read_text()
+    assert "No ranks" not in (make(tmp_path / "same", *packs[:2]) / "index.html").read_text()
+    index = (make(tmp_path / "mixed", *packs) / "index.html").read_text()
+    assert "<b>No ranks on Truck</b>: the rows of all packs differ in scene&#39;s files; tdgbench: a or c." in index
 
 
 def test_published_numbers_and_verdicts_stand_beside(site):
@@ -221,6 +229,7 @@ def test_all_cells_and_the_checklist_are_on_the_page_of_a_pack(site, small_resul
 def test_the_page_of_a_method_has_its_reading_and_claims(site):
     text = (site / "methods" / "tdg.html").read_text(encoding="utf-8")
     assert "smoothness_reading: written" in text and "PSNR of TDg is 0.01 % better" in text
+    assert "of 2" in text and "tied with MSMG" in text
 
 
 def test_refusals(packed, small_results, tmp_path, capsys):
