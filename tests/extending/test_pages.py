@@ -244,21 +244,6 @@ def test_metric(page, data_root):
     assert "the code changed" in changed.stdout + changed.stderr
 
 
-@pytest.mark.parametrize(
-    ("code", "reason"),
-    [
-        ("EDGE_PSNR = 1", "is no ImageMetric and no ViewMetric"),
-        ("raise OSError('no camera')", "cannot be imported (OSError: no camera)"),
-        ("from tdgbench.scoring.metrics.psnr import PSNR as EDGE_PSNR", "there is another metric psnr"),
-    ],
-)
-def test_unusable_metrics(page, data_root, code, reason):
-    metric = page("metric")
-    (metric.folder / "edges.py").write_text(code, encoding="utf-8")
-    done = tdgbench_here(metric.folder, *metric.commands[0][1:], f"data.root={data_root}", *QUICK)
-    assert done.returncode == 1 and reason in done.stderr and not list(metric.folder.rglob("record.json"))
-
-
 def test_table_column(page, small_results):
     """The page's code in place of the assignment that it replaces, in a copy of the package."""
     column = page("table-column")

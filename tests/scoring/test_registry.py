@@ -41,14 +41,17 @@ def test_a_file_is_a_metric(tmp_path, monkeypatch):
         ("biases.METRC", "did you mean METRIC?"),
         ("biasses.METRIC", "did you mean biases?"),
         ("biases.SPACED", "metric 'a b': a name has letters, digits and underscores"),
+        ("biases.PSNR", "there is another metric psnr"),
+        ("broken.METRIC", "cannot be imported (OSError: no camera)"),
         ("elsewhere.METRIC", "run this in its folder, or install it"),
     ],
 )
 def test_mistyped_metrics_of_the_user(tmp_path, monkeypatch, name, said):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    spaced = "import dataclasses\nSPACED = dataclasses.replace(METRIC, name='a b')\n"
-    (tmp_path / "biases.py").write_text(MADE_UP + spaced)
+    others = "from tdgbench.scoring.metrics.psnr import PSNR\nfrom dataclasses import replace\n"
+    (tmp_path / "biases.py").write_text(f"{MADE_UP}{others}SPACED = replace(METRIC, name='a b')\n")
+    (tmp_path / "broken.py").write_text("raise OSError('no camera')")
     with pytest.raises(ValueError, match=re.escape(said)):
         registry.extra_metrics([name])
 
