@@ -108,7 +108,7 @@ def differences(page: str, made: str) -> list[str]:
 
 def _lines(page: str) -> list[str]:
     """Lines without what differs everywhere: the date, times and their ratios, and the widths of tables."""
-    page = re.sub(r"time \d+:\d\d:\d\d against [^;]*", "time", MADE.sub("", page))
+    page = re.sub(r"time \d+:\d\d:\d\d against [^;\n]*", "time", MADE.sub("", page))
     return re.sub(r"\d+:\d\d:\d\d", "h:mm:ss", re.sub(r"[ ─━]+", " ", page)).splitlines()
 
 

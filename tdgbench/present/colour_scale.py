@@ -49,7 +49,7 @@ class ColourScale(NamedTuple):
         >>> ColourScale(ends=("2", "9"), error_end="1.1 °C", unit=" °C", colder=0.2).sentence  # doctest: +ELLIPSIS
         'Colours span 2 to 9 °C (20.0 % of the ground truth is below, 0.0 % above). Errors from 0 to 1.1 °C; ...'
         """
-        errors = f"Errors from 0 to {self.error_end}; larger ones are drawn so."
+        errors = f"Errors from 0 to {self.error_end}; larger ones have the last colour."
         if self.ends is None:
             return f"Colours are those of the camera's palette, without a scale. {errors}"
         beyond = f"{100 * self.colder:.1f} % of the ground truth is below, {100 * self.warmer:.1f} % above"

@@ -12,11 +12,13 @@ from matplotlib.figure import Figure
 
 from tdgbench.present.figures import as_svg, plain
 from tdgbench.report.run_facts import cell_title
+from tdgbench.scenes.modalities import LABELS, OTHERS
 from tdgbench.tables import methods
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.results import Cell
 
 CURVES = {"loss": "loss", "smoothed_psnr": "PSNR of training renders, dB", "gaussians": "Gaussians"}
+SUMMED = ("loss", "gaussians")
 MOST_POINTS = 150  # of a curve; a plot of 3 inches shows no more
 BINS = 31  # at most, of errors
 SHARES = (0.5, 0.95)  # of pixels, within which errors are stated
@@ -30,9 +32,11 @@ def line_colours(columns: Iterable[str]) -> dict[str, str]:
 def curve_panels(cells: Sequence[Cell], colours: Mapping[str, str], problems: list[str]) -> list[str]:
     """Return loss, PSNR and number of Gaussians along each cell's training, as SVG; unreadable logs are n/a.
 
-    colours: by column; the seeds of a method share one.
+    colours: by column; the seeds of a method share one. Losses and Gaussians are sums over a method's models, which the
+    legend names where there are several.
     """
     logs: list[tuple[str, pd.DataFrame]] = []
+    models: dict[str, str] = {}
     for cell in cells:
         if cell.record.made_elsewhere is not None:
             continue
@@ -40,14 +44,20 @@ def curve_panels(cells: Sequence[Cell], colours: Mapping[str, str], problems: li
         if log is None or not {"seconds", *CURVES} <= set(log.columns):
             problems.append(f"{cell_title(cell.record)}: log.csv is missing or no log, so its curves are n/a")
             continue
-        logs.append((method_label(cell.record, with_init=True), log.iloc[:: -(-len(log) // MOST_POINTS)]))
+        column, summed = (
+            method_label(cell.record, with_init=True),
+            sorted(cell.record.gaussians, key=OTHERS.__contains__),
+        )
+        models[column] = f", {' + '.join(LABELS.get(name, name) for name in summed)}" if len(summed) > 1 else ""
+        logs.append((column, log.iloc[:: -(-len(log) // MOST_POINTS)]))
     panels = []
     for column, title in CURVES.items() if logs else ():
         figure, axes = _panel(title, "seconds of training")
         for i, (method, log) in enumerate(logs):
             is_first = all(before != method for before, _ in logs[:i])
+            label = methods.label(method) + models[method] * (column in SUMMED)
             axes.plot(log["seconds"], log[column], color=colours[method], linewidth=1,
-                      label=plain(methods.label(method)) if is_first else None)  # fmt: skip
+                      label=plain(label) if is_first else None)  # fmt: skip
         panels.append(_as_svg(figure, axes))
     return panels
 

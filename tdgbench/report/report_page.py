@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -23,7 +22,7 @@ from tdgbench.tables.build import Tables
 from tdgbench.tables.grids import further_grid, reasons_for_na
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import ABLATION, COLUMNS, EXTRA, MEASURES, PUBLISHED, digits
+from tdgbench.tables.measures import MEASURES, PUBLISHED, digits
 from tdgbench.tables.palette import palette_notes
 from tdgbench.tables.readings import changes_as_text
 from tdgbench.tables.results import Cell, Results
@@ -42,15 +41,16 @@ def write_report(tables: Tables) -> Path:
     scenes: dict[tuple[str, str, str], list[Cell]] = {}
     for cell in cells:
         scenes.setdefault((cell.record.dataset, cell.record.scene, cell.record.split), []).append(cell)
+    further = None if tables.is_ablation else further_grid(main)
     content = {
         "name": results.folder.resolve().name,
         "findings": tables.findings,
         "facts": run_facts(results.plan, [cell.record for cell in cells]),
         "doubts": doubts_of(records),
         "table": tables.grid,
-        "reasons": reasons_for_na(main, ABLATION if tables.is_ablation else COLUMNS),
-        "further": None if tables.is_ablation else further_grid(main),
-        "further_reasons": [] if tables.is_ablation else reasons_for_na(main, EXTRA),
+        "reasons": reasons_for_na(main, tables.grid.names),
+        "further": further,
+        "further_reasons": [] if further is None else reasons_for_na(main, further.names),
         "legend": legend(tables),
         "published": published_section(tables),
         "behind": [[*row.heads, title, cell.title] for row in tables.grid.rows
@@ -107,7 +107,7 @@ def legend(tables: Tables) -> list[dict[str, str]]:
         {
             "title": described.title,
             "meaning": described.meaning,
-            "range": " to ".join("∞" if math.isinf(limit) else f"{limit:g}" for limit in described.limits),
+            "range": " to ".join(f"{limit:g}".replace("inf", "∞") for limit in described.limits),
             "fits_to_test_view": getattr(described, "fits_to_test_view", "") or "nothing",
             "needs": getattr(described, "needs", ""),
         }

@@ -25,7 +25,7 @@ from tdgbench.tables.equal_data import equal_scenes
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.grids import ABLATION_KEYS, ablation_grid, main_grid
 from tdgbench.tables.latex import ablation_table, main_table
-from tdgbench.tables.likeness import Trainings
+from tdgbench.tables.likeness import Trainings, times_at_once
 from tdgbench.tables.long_table import cell_rows, method_label, scene_rows, with_averages, with_protocols
 from tdgbench.tables.measures import ABLATION, AVERAGE, COLUMNS, EXTRA, KEYS, OVERALL
 from tdgbench.tables.palette import COLUMN, with_image_values
@@ -124,7 +124,8 @@ def _main(results: Results, options: TableOptions) -> Tables:
     main, by_seed = with_seeds(with_protocols(with_averages(scene_rows(cells)), records), cells)
     main = main.merge(intervals(results.finished), on=KEYS, how="left")
     main, notes, problems = Trainings(records, COLUMN_OF, options.is_ranking_unlike).set_apart(main)
-    equal = equal_scenes(cell.record for cell in results.finished)
+    finished = [cell.record for cell in results.finished]
+    equal = equal_scenes(finished)
     main = with_bold(with_image_values(main, records, COLUMN_OF), by_seed, ["dataset", "scene"])[MAIN_COLUMNS]
     comparisons = compare_methods(cells, main, results.finished, equal)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
@@ -135,8 +136,8 @@ def _main(results: Results, options: TableOptions) -> Tables:
         by_length, changes = (with_image_values(table(numbers), records) for table in (readings, effects))
     return Tables(
         results=replace(results, problems=[*results.problems, *problems]), main=main, difference=difference,
-        findings=findings_of_methods(main, difference, comparisons, changes, equal), comparisons=comparisons,
-        readings=by_length, effects=changes, notes=notes, columns=options.columns,
+        findings=findings_of_methods(main, difference, comparisons, changes, equal, finished), comparisons=comparisons,
+        readings=by_length, effects=changes, notes=[*notes, *times_at_once(finished)], columns=options.columns,
     )  # fmt: skip
 
 
@@ -155,7 +156,7 @@ def _ablation(results: Results, options: TableOptions) -> Tables:
         random, kinds = published[published["init"] == "random"], {*main["init"]} - {*published["init"]}
         published = pd.concat([published, *(random.assign(init=kind) for kind in sorted(kinds))])
         difference = against_published(main, published, ABLATION_KEYS)
-    findings = findings_of_ablation(main, difference)
+    findings = findings_of_ablation(main, difference, [cell.record for cell in results.finished])
     return Tables(results=results, main=main, difference=difference, findings=findings, notes=notes)
 
 

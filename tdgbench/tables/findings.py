@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
+from tdgbench.cells.record import Record
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, THE_PAPER, JudgedClaim
@@ -18,7 +18,8 @@ from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.comparisons import MethodComparison, margin_of
 from tdgbench.tables.equal_data import Place, equal_data_notes
 from tdgbench.tables.likeness import COLUMN as TRAINING_KIND
-from tdgbench.tables.long_table import NO_RECORD
+from tdgbench.tables.likeness import times_at_once
+from tdgbench.tables.long_table import NO_RECORD, method_label
 from tdgbench.tables.measures import (
     ABLATION,
     AVERAGE,
@@ -33,6 +34,7 @@ from tdgbench.tables.measures import (
 from tdgbench.tables.published import published_main
 from tdgbench.tables.readings import change_as_text, widest_average, with_setup
 from tdgbench.tables.seed_spreads import beyond_in_words, usual_spread
+from tdgbench.tables.statistics import with_interval
 from tdgbench.tables.verdicts import (
     BETTER,
     NOT_REPRODUCED,
@@ -44,9 +46,9 @@ from tdgbench.tables.verdicts import (
     comparable,
     seeds_in_words,
 )
-from tdgbench.text import one_line
+from tdgbench.text import named, one_line
 
-SYNTHETIC, CAPTURE = "synthetic", "folder"  # data sets; the first begins the names of several
+SYNTHETIC = "synthetic"  # begins the names of the built-in data sets
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
 
 
@@ -56,21 +58,27 @@ def findings_of_methods(
     comparisons: Sequence[MethodComparison],
     effects: pd.DataFrame | None,
     equal: Mapping[Place, Place],
+    records: Sequence[Record] = (),
 ) -> list[str]:
-    """Return the findings of a main table, one sentence each, in one line each. equal: from `equal_scenes`."""
+    """Return the findings of a main table, one sentence each, in one line each.
+
+    equal: from `equal_scenes`. records: of the finished cells.
+    """
     if effects is None:
-        sentences = [sentence for comparison in comparisons for sentence in _comparison(comparison, main)]
+        sentences = [sentence for comparison in comparisons for sentence in _comparison(comparison, main, records)]
     else:  # which compare the same methods, and others
-        sentences = list(_effects(effects))
+        sentences = [*_effects(effects), *_true_priors(records)]
     sentences += [] if difference is None else [published(difference)]
-    sentences = sentences or list(_alone(main))
+    sentences = sentences or list(_alone(main, records))
     notes = (*_caveats(main), *equal_data_notes(equal)) if sentences else ()
     return [one_line(sentence) for sentence in (*sentences, *notes)]
 
 
-def findings_of_ablation(main: pd.DataFrame, difference: pd.DataFrame | None) -> list[str]:
+def findings_of_ablation(
+    main: pd.DataFrame, difference: pd.DataFrame | None, records: Sequence[Record] = ()
+) -> list[str]:
     """Return the findings of an ablation, in the same form."""
-    sentences = [*_ablation(main), *([] if difference is None else [published(difference)])]
+    sentences = [*_ablation(main), *_true_priors(records), *([] if difference is None else [published(difference)])]
     return [one_line(sentence) for sentence in sentences]
 
 
@@ -79,12 +87,10 @@ def _caveats(main: pd.DataFrame) -> Iterable[str]:
     scenes = main[~_is_average(main)]
     once = f"one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
     data_sets = set(scenes["dataset"])
-    if data_sets == {CAPTURE}:
-        what = "These scenes are your capture, so no published score is beside them"
-    elif all(name.startswith(SYNTHETIC) for name in data_sets):
+    if all(name.startswith(SYNTHETIC) for name in data_sets):
         what = "These scenes are built in, so this is no evidence on the paper's claims"
     else:
-        what = "" if data_sets & set(DATASETS.values()) else "No published score is beside these scenes"
+        what = "" if data_sets & set(DATASETS.values()) else "tdgbench has no published scores of these scenes"
     if what:
         yield f"{what}, and {once}" if once else what
 
@@ -94,7 +100,7 @@ def published(differences: pd.DataFrame) -> str:
     judged = comparable(differences)
     known = judged[judged["difference"].notna()]
     if known.empty:
-        return f"Published scores: n/a: none of the {len(judged)} has one of ours beside it"
+        return f"None of the {len(judged)} published scores is compared: there are no results of their scenes"
     counts = known["verdict"].value_counts().reindex(WORDS, fill_value=0)
     parts = [f"{counts[REPRODUCED]} of {len(known)} published scores reproduced"]
     parts += [f"{counts[word]} {word}" for word in WORDS if word != REPRODUCED and counts[word]]
@@ -127,36 +133,58 @@ def claims_in_words(claims: Sequence[JudgedClaim]) -> list[str]:
     ]
 
 
-def _comparison(comparison: MethodComparison, main: pd.DataFrame) -> Iterable[str]:
+def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     """Compare a method with its baseline: on how many scenes it is better, and by how much on the widest average."""
     pair, changes, paired = comparison
-    title = " against ".join(methods.label(column) for column in pair)
+    title = " against ".join(_title(column, records) for column in pair)
     both = main[main["method"].isin(pair) & main["metric"].isin(PUBLISHED)]
     rows = changes[changes["metric"].isin(PUBLISHED) & changes["change"].notna() & changes["scene"].isin(both["scene"])]
     scenes = rows[~_is_average(rows)]
     if scenes.empty:
         kinds = both.loc[both["metric"] == PUBLISHED[0], TRAINING_KIND].unique()
-        unlike = f"no scene is compared, since trainings differ ({' / '.join(kinds)})"
-        yield f"{title}: {_why_not(both, unlike if len(kinds) > 1 else 'no scene has results of both')}"
+        unlike = f"trainings differ ({' / '.join(kinds)})"
+        yield f"{title}: not compared: {_why_not(both, unlike if len(kinds) > 1 else 'no scene has results of both')}"
         return
     compared = scenes[["dataset", "scene"]].drop_duplicates()
     several = len(compared) > 1
     without = len(both.loc[~_is_average(both), ["dataset", "scene"]].drop_duplicates()) - len(compared)
     notes = [f"n/a on {without} more"] if without else []
     timed = both.loc[(both["metric"] == HOURS.name) & both["value"].notna(), "method"].nunique() == len(pair)
-    untimed = ["times are of unlike machines or threads"] * (timed and HOURS.name not in set(scenes["metric"]))
+    is_timed = HOURS.name in set(scenes["metric"])
+    times = _times(pair, records) if is_timed else ["times are of unlike machines or threads"] * timed
     if several and scenes["seeds"].max() > 1:
         tests = ["p: Wilcoxon's signed-rank test over the scenes"] if "(p " in (counts := _counts(paired)) else []
-        yield "; ".join([f"{title} on {len(compared)} scenes: {counts}", *tests, *notes])
+        yield "; ".join([f"{title} on {len(compared)} scenes: {counts}", *tests, *times, *notes])
         notes = []
     place = widest_average(rows) if several else scenes
     if several and not _is_average(place).all():  # some scene lacks results, so there is no average
         return
     where = f"on average over {len(compared)} scenes" if several else f"on {compared['scene'].iloc[0]}"
-    parts = [_change(row) for row in place.itertuples()]
     of_scenes = main.merge(place[["dataset", "scene"]].drop_duplicates() if not several else compared)
-    grounds = [_certainty(place, of_scenes), *untimed, *_published_time(pair, scenes), *notes]
-    yield "; ".join([f"{title} {where}: {', '.join(parts)}", *grounds])
+    grounds = [_certainty(place, of_scenes), *times, *_published_time(pair, scenes), *notes]
+    yield f"{title} {where}: {'; '.join([*map(_change, place.itertuples()), *grounds])}"
+
+
+def _title(column: str, records: Sequence[Record]) -> str:
+    """Return a method's name, with where its depth prior is from if no camera could have made it."""
+    known = any(_has_true_prior(record) and method_label(record, with_init=True) == column for record in records)
+    return methods.label(column) + " with a depth prior made from true depth" * known
+
+
+def _times(columns: Iterable[str], records: Sequence[Record]) -> list[str]:
+    """Return the note on times of some columns, in a list; empty if each cell ran alone."""
+    columns = list(columns)
+    return times_at_once(record for record in records if method_label(record, with_init=True) in columns)
+
+
+def _true_priors(records: Sequence[Record]) -> list[str]:
+    """Return the sentence on methods whose depth prior is made from true depth, in a list; empty without any."""
+    known = [methods.label(record.method) for record in records if _has_true_prior(record)]
+    return [f"The depth prior of {named(known)} is made from true depth, not estimated from images"] if known else []
+
+
+def _has_true_prior(record: Record) -> bool:
+    return (record.prior or {}).get("made_from") == "truth"
 
 
 def _counts(paired: pd.DataFrame) -> str:
@@ -172,12 +200,13 @@ def _change(row: Any) -> str:
     """Return both values, the change and, where it has an interval, its verdict. row: of a comparison's changes."""
     measure, values = MEASURES[row.metric], (as_text(row.metric, value, row.scene) for value in (row.new, row.old))
     form = ".2f" if measure.ratio else f"+.{digits(row.metric, row.scene)}f"
-    text = f"× {row.change:{form}}" if measure.ratio else f"{row.change:{form}}{measure.suffix}"
-    if not np.isnan(row.ci95_low):
-        is_small = row.verdict == UNDECIDED and row.ci95_low * row.ci95_high > 0 and not measure.ratio
-        small = f"within {margin_of(row.metric):g}, " if is_small else ""
-        text += f" [{row.ci95_low:{form}}, {row.ci95_high:{form}}], {small}{row.verdict}"
-    return f"{measure.label} {' against '.join(values)} ({text})"
+    change = f"× {row.change:{form}}" if measure.ratio else f"{row.change:{form}}{measure.suffix}"
+    text = f"{measure.label} {' against '.join(values)}, {with_interval(change, row.ci95_low, row.ci95_high, form)}"
+    if pd.isna(row.ci95_low):
+        return text
+    is_small = row.verdict == UNDECIDED and row.ci95_low * row.ci95_high > 0 and not measure.ratio
+    small = f", since up to {margin_of(row.metric):g}{measure.suffix} counts as equal" if is_small else ""
+    return f"{text}: {row.verdict}{small}"
 
 
 def _certainty(place: pd.DataFrame, main: pd.DataFrame) -> str:
@@ -189,7 +218,7 @@ def _certainty(place: pd.DataFrame, main: pd.DataFrame) -> str:
     if seeds < 2:
         return f"one seed decides nothing: {usual_spread(main)}"
     shared = " that both have" if seeds < main["seeds"].max() else ""
-    return f"95 % intervals over {seeds} seeds{shared}"
+    return f"in brackets: 95 % intervals over {seeds} seeds{shared}"
 
 
 def _published_time(pair: methods.MethodPair, scenes: pd.DataFrame) -> list[str]:
@@ -207,15 +236,16 @@ def _is_average(rows: pd.DataFrame) -> pd.Series:
     return rows["scene"].isin((AVERAGE, OVERALL))
 
 
-def _alone(main: pd.DataFrame) -> Iterable[str]:
+def _alone(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     """Yield the scores of each method, where nothing is compared."""
     for column, rows in main.groupby("method", sort=False):
         known = widest_average(rows[rows["metric"].isin(PUBLISHED)]).dropna(subset="value")
         parts = [f"{MEASURES[r.metric].label} {as_text(r.metric, r.value, r.scene)}" for r in known.itertuples()]
         scenes = list(dict.fromkeys(rows.loc[~_is_average(rows), "scene"]))
-        where = scenes[0] if len(scenes) == 1 else f"the average of {len(scenes)} scenes"
+        where = scenes[0] if len(scenes) == 1 else f"average over {len(scenes)} scenes"
         if parts:
-            yield f"{methods.label(str(column))} has {', '.join(parts)} on {where}; no method beside it is its baseline"
+            notes = [*_times([str(column)], records), "no baseline was run, so it is compared with nothing"]
+            yield "; ".join([f"{_title(str(column), records)} on {where}: {', '.join(parts)}", *notes])
 
 
 def _ablation(main: pd.DataFrame) -> Iterable[str]:
@@ -231,7 +261,7 @@ def _ablation(main: pd.DataFrame) -> Iterable[str]:
                 )
                 parts.append(f"{MEASURES[metric].label} {', '.join(texts)}")
         parts += ["one seed decides nothing"] * bool(parts and group["seeds"].max() == 1)
-        yield f"{methods.label(str(method))}: {'; '.join(parts) or _why_not(group, 'scenes lack results')}"
+        yield f"{methods.label(str(method))}: {'; '.join(parts) or 'n/a: ' + _why_not(group, 'scenes lack results')}"
 
 
 def _effects(effects: pd.DataFrame) -> Iterable[str]:
@@ -262,8 +292,8 @@ def _why_not(rows: pd.DataFrame, otherwise: str) -> str:
     """Return why nothing can be said of some rows. otherwise: what to say if several reasons, or none, are known."""
     reasons = list(dict.fromkeys(rows.loc[rows["value"].isna(), "reason"])) if rows["value"].isna().all() else []
     if reasons == [NO_RECORD]:
-        return "n/a: no scene is on disk, or none was run"
-    return f"n/a: {reasons[0] if len(reasons) == 1 else otherwise}"
+        return "no scene is on disk, or none was run"
+    return str(reasons[0]) if len(reasons) == 1 else otherwise
 
 
 def _p(value: float) -> str:

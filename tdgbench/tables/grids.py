@@ -10,9 +10,10 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.present.grid import Grid, GridCell, GridRow
+from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.comparisons import BOLD_NOTE
-from tdgbench.tables.long_table import RANGE, initial_points, protocol_notes
+from tdgbench.tables.long_table import NO_RECORD, RANGE, initial_points, protocol_notes
 from tdgbench.tables.measures import (
     ABLATION,
     AVERAGE,
@@ -90,24 +91,23 @@ def ablation_grid(main: pd.DataFrame, difference: pd.DataFrame | None, notes: Se
 
 
 def reasons_for_na(main: pd.DataFrame, metrics: Sequence[str]) -> list[str]:
-    """Return why numbers of a main table or an ablation are n/a: measures, the rows that lack them, and the reason.
-
-    Measures beside the usual ones that no row has are left out.
-    """
+    """Return why numbers of a main table or an ablation are n/a: measures, the rows that lack them, and the reason."""
     shown = main[main["metric"].isin(metrics)]
-    known = set(shown.loc[shown["value"].notna(), "metric"]) | {*COLUMNS, *ABLATION}
-    missing, place = shown[shown["value"].isna() & shown["metric"].isin(known)], "scene" if "scene" in main else "init"
+    missing, place = shown[shown["value"].isna()], "scene" if "scene" in main else "init"
     rows_of = shown.groupby(["method", "metric"]).size()
     found: dict[tuple[str, str], list[str]] = {}
     for (metric, reason), group in missing.groupby(["metric", "reason"], sort=False):
-        who: list[str] = []
+        who: dict[str, list[str]] = {}  # methods by the places where they lack it
         for method, rows in group.groupby("method", sort=False):
-            name = methods.label(str(method))
-            is_whole = len(rows) == rows_of[method, metric]
-            who += [name] if is_whole else [f"{name} on {where}" for where in rows[place]]
-        names = "all rows" if len(group) == rows_of[:, metric].sum() else named(who)
+            where = "" if len(rows) == rows_of[method, metric] else f" on {named(rows[place])}"
+            who.setdefault(where, []).append(methods.label(str(method)))
+        listed = "; ".join(named(them) + where for where, them in who.items())
+        names = "all rows" if len(group) == rows_of[:, metric].sum() else listed
         found.setdefault((names, str(reason)), []).append(MEASURES[str(metric)].title.rstrip(" ↑↓"))
-    return [f"n/a: {'; '.join(titles)} ({names}): {reason}" for (names, reason), titles in found.items()]
+    lines = [f"n/a: {'; '.join(titles)} ({names}): {reason}" for (names, reason), titles in found.items()]
+    absent = set(missing.loc[missing["reason"] == NO_RECORD, "dataset"]) if "dataset" in missing else set()
+    gets = [f"`tdgbench data get {key} data`" for key, title in DATASETS.items() if title in absent]
+    return [*lines, *([f"scenes that are not on disk: {' and '.join(gets)} download them"] if gets else [])]
 
 
 def _by_keys(difference: pd.DataFrame | None, keys: list[str]) -> dict[tuple[str, ...], Any]:

@@ -152,6 +152,15 @@ def machine(record: Record) -> tuple[str, ...]:
     return tuple(str(record.environment.get(name)) for name in MACHINE.values())
 
 
+def times_at_once(records: Iterable[Record]) -> list[str]:
+    """Return the note that cells shared a machine, in a list; empty if each ran alone."""
+    found = {record.environment.get("cells_at_once") for record in records}
+    numbers = sorted(number for number in found if isinstance(number, int))
+    if not numbers or numbers[-1] < 2:
+        return []
+    return [f"times are of {' or '.join(map(str, numbers))} cells at once, which may slow each other down"]
+
+
 def _problems(table: pd.DataFrame) -> list[str]:
     """Return a problem for each column and scene of a main table whose mean is of unlike trainings."""
     unlike = table[table["reason"].str.contains(UNLIKE, regex=False)]

@@ -32,7 +32,7 @@ from tdgbench.tables.measures import (
 )
 from tdgbench.tables.palette import with_mark
 from tdgbench.tables.published import published_main
-from tdgbench.tables.statistics import mean_interval
+from tdgbench.tables.statistics import mean_interval, with_interval
 
 COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables of changes
 SHOWN = (*PUBLISHED, "depth_inconsistency", GAUSSIANS.name, PARAMETERS.name, MEMORY.name)  # of averages
@@ -216,5 +216,4 @@ def change_as_text(row: Any) -> str:
     if row is None:
         return "n/a"
     form = ".2f" if row.kind == "ratio" else f"+.{digits(row.metric)}f"
-    text = format(row.change, form)
-    return text if np.isnan(row.ci95_low) else f"{text} [{row.ci95_low:{form}}, {row.ci95_high:{form}}]"
+    return with_interval(format(row.change, form), row.ci95_low, row.ci95_high, form)

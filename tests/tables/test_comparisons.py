@@ -100,7 +100,7 @@ def test_a_baseline_without_results_is_not_compared_with(tmp_path):
             write(tmp_path, method, "attic", "folder", seed=seed, scores={"psnr": 20.0 + seed + (method == "tdg")})
     Plan(methods=["msmg", "tdg", "3dgs"]).write(tmp_path)
     found = build_tables(tmp_path).findings
-    assert found[0].startswith("TDg against 3DGS on attic: PSNR 21.50 against 20.50 (+1.00 dB [+1.00, +1.00], better)")
+    assert found[0].startswith("TDg against 3DGS on attic: PSNR 21.50 against 20.50, +1.00 dB (+1.00 to +1.00): better")
 
 
 def test_unlike_trainings_and_machines_are_not_compared(tmp_path):
@@ -119,5 +119,5 @@ def test_unlike_trainings_and_machines_are_not_compared(tmp_path):
     main["training"] = main["method"]
     comparisons = compare_methods(cells, main, results.finished)
     assert findings_of_methods(main, None, comparisons, None, {})[0] == (
-        "TDg against MSMG: n/a: no scene is compared, since trainings differ (msmg / tdg)"
+        "TDg against MSMG: not compared: trainings differ (msmg / tdg)"
     )

@@ -20,8 +20,8 @@ PAPER = [Description(s.name, DATASETS[s.dataset], s.group) for s in SCENES]
 def test_one_seed_concludes_nothing(published_tables):
     found = published_tables.findings
     assert found[0].startswith(
-        "TDg against MSMG on average over 14 scenes: PSNR 27.42 against 27.18 (+0.24 dB), SSIM 0.8899 against 0.8896 "
-        "(+0.0004), LPIPS 0.175 against 0.177 (-0.002), time 0:10:34 against 0:23:21 (× 0.45); one seed decides "
+        "TDg against MSMG on average over 14 scenes: PSNR 27.42 against 27.18, +0.24 dB; SSIM 0.8899 against 0.8896, "
+        "+0.0004; LPIPS 0.175 against 0.177, -0.002; time 0:10:34 against 0:23:21, × 0.45; one seed decides "
         "nothing: the largest standard deviation over seeds that was measured on other scenes, of any method and "
         "budget, is 3.1 dB PSNR (docs/findings/verdicts.md); "
         "by the published table time × 0.45"
@@ -35,15 +35,19 @@ def test_they_say_what_the_seeds_tell(tmp_path):
     psnr = {"msmg": (39.9, 40.6, 40.91), "tdg": (40.1, 40.3, 41.04), "3dgs": (35.0, 35.1, 35.3)}
     for method, values in psnr.items():
         for seed, value in enumerate(values):
-            write(tmp_path, method, "orbit", "synthetic", seed=seed, scores={"psnr": value, "lpips": None})
+            prior = {"made_from": "truth"} if method == "tdg" else None
+            write(tmp_path, method, "orbit", "synthetic", seed=seed, scores={"psnr": value, "lpips": None}, prior=prior,
+                  environment={"cells_at_once": 2})  # fmt: skip
     tables = build_tables(tmp_path)
+    assert "times are of 2 cells at once, which may slow each other down" in tables.grid.notes
     assert tables.findings[0] == (
-        "MSMG against 3DGS on orbit: PSNR 40.47 against 35.13 (+5.34 dB [+4.39, +6.29], better), SSIM 0.800 against "
-        "0.800 (+0.000 [+0.000, +0.000], undecided), time 0:06:00 against 0:06:00 (× 1.00 [1.00, 1.00], undecided); "
-        "95 % intervals over 3 seeds"
+        "MSMG against 3DGS on orbit: PSNR 40.47 against 35.13, +5.34 dB (+4.39 to +6.29): better; SSIM 0.800 against "
+        "0.800, +0.000 (+0.000 to +0.000): undecided; time 0:06:00 against 0:06:00, × 1.00 (1.00 to 1.00): undecided; "
+        "in brackets: 95 % intervals over 3 seeds; times are of 2 cells at once, which may slow each other down"
     )
     assert tables.findings[1].startswith(
-        "TDg against MSMG on orbit: PSNR 40.48 against 40.47 (+0.01 dB [-0.66, +0.68], undecided)"
+        "TDg with a depth prior made from true depth against MSMG on orbit: PSNR 40.48 against 40.47, +0.01 dB "
+        "(-0.66 to +0.68): undecided;"
     )
     assert tables.main.query("metric == 'psnr' and bold and scene == 'orbit'")["method"].tolist() == ["msmg", "tdg"]
 
@@ -58,10 +62,10 @@ def test_they_count_what_the_tables_say(tmp_path):
     known = tables.difference.query("metric in ('psnr', 'ssim') and difference.notna()")
     verdicts = known["verdict"].value_counts()
     assert tables.findings[0].startswith(
-        "TDg against MSMG on Truck: PSNR 26.29 against 21.00 (+5.29 dB [+2.83, +7.75], "
+        "TDg against MSMG on Truck: PSNR 26.29 against 21.00, +5.29 dB (+2.83 to +7.75): "
     )
     assert tables.findings[0].endswith(
-        "; 95 % intervals over 3 seeds; by the published table time × 0.59; n/a on 13 more"
+        "; in brackets: 95 % intervals over 3 seeds; by the published table time × 0.59; n/a on 13 more"
     )
     assert known.set_index(["scene", "metric"])["verdict"]["Lion"].to_dict() == {
         "psnr": "not reproduced",
@@ -122,26 +126,26 @@ def test_published_scores(verdicts, sentence):
 def test_na_says_why(tmp_path):
     Plan("main", PAPER, ["msmg", "tdg"]).write(tmp_path)
     assert build_tables(tmp_path).findings == [
-        "TDg against MSMG: n/a: no scene is on disk, or none was run",
-        "Published scores: n/a: none of the 102 has one of ours beside it",
+        "TDg against MSMG: not compared: no scene is on disk, or none was run",
+        "None of the 102 published scores is compared: there are no results of their scenes",
     ]
     write(tmp_path, "tdg", status="failed", failure=Failure("prior", "PriorError: no weights", ""))
     write(tmp_path, "msmg", "Lion", "ThermalMix", "360")
-    assert build_tables(tmp_path).findings[0] == "TDg against MSMG: n/a: no scene has results of both"
+    assert build_tables(tmp_path).findings[0] == "TDg against MSMG: not compared: no scene has results of both"
 
 
-CAPTURE = "These scenes are your capture, so no published score is beside them"
+CAPTURE = "tdgbench has no published scores of these scenes"
 
 
 def test_a_capture_alone(tmp_path):
     for seed in (0, 1):
         write(tmp_path, scene="attic", dataset="folder", seed=seed)
-    scores = "TDg has PSNR 20.00, SSIM 0.800, LPIPS 0.200, time 0:06:00"
-    assert build_tables(tmp_path).findings == [f"{scores} on attic; no method beside it is its baseline", CAPTURE]
+    scores = "PSNR 20.00, SSIM 0.800, LPIPS 0.200, time 0:06:00; no baseline was run, so it is compared with nothing"
+    assert build_tables(tmp_path).findings == [f"TDg on attic: {scores}", CAPTURE]
     for seed in (0, 1):
         write(tmp_path, scene="cellar", dataset="folder", seed=seed)
     found = build_tables(tmp_path).findings
-    assert found == [f"{scores} on the average of 2 scenes; no method beside it is its baseline", CAPTURE]
+    assert found == [f"TDg on average over 2 scenes: {scores}", CAPTURE]
     assert (tmp_path / "tables" / "findings.txt").read_text(encoding="utf-8").splitlines() == found
 
 
@@ -149,7 +153,7 @@ def test_a_capture_alone(tmp_path):
     ("dataset", "said"),
     [("synthetic", "These scenes are built in, so this is no evidence on the paper's claims"),
      ("synthetic_degC", "These scenes are built in, so this is no evidence on the paper's claims"),
-     ("ThermoScenes", "No published score is beside these scenes")],
+     ("ThermoScenes", CAPTURE)],
 )  # fmt: skip
 def test_other_data_sets(tmp_path, dataset, said):
     write(tmp_path, scene="attic", dataset=dataset)
@@ -194,8 +198,8 @@ def test_readings(tmp_path):
             noise = 0.01 * seed if method != "msmg_thermal" else (-1) ** seed
             write(tmp_path, method, "orbit", "synthetic", seed=seed, scores={"psnr": value + noise}, iterations=900)
     found = build_tables(tmp_path).findings
-    assert "PSNR, dB, rises with smoothness, eq. 6, 900 iterations: +1.00 [+1.00, +1.00]" in found
-    assert any(text.startswith("PSNR, dB, falls with depth, as written, 900 iterations: -2.00 [") for text in found)
+    assert "PSNR, dB, rises with smoothness, eq. 6, 900 iterations: +1.00 (+1.00 to +1.00)" in found
+    assert any(text.startswith("PSNR, dB, falls with depth, as written, 900 iterations: -2.00 (") for text in found)
     assert "PSNR, dB: the 95 % interval contains 0 for 1 change" in found
     for record in read_all(tmp_path):
         assert record.failure is None

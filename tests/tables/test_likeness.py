@@ -52,7 +52,7 @@ def test_a_longer_training_wins_nothing(tmp_path, capsys):
     ):
         assert note in printed and note in tables.latex
     assert printed.count("unlike trainings: ") == 3  # a budget's name stands for its options
-    assert not any("3DGS" in found for found in tables.findings if "n/a" not in found), tables.findings
+    assert not any("3DGS" in found for found in tables.findings if "not compared" not in found), tables.findings
     stored = pd.read_csv(tmp_path / "tables" / "main.csv").query("scene == 'orbit' and metric == 'psnr'")
     assert stored["training"].tolist() == [*["budget: short; iterations: 400"] * 2, "budget: lean; iterations: 15000"]
     assert main([str(tmp_path), "--rank-unlike"]) == 0
@@ -79,7 +79,7 @@ def test_what_has_to_agree(tmp_path, fields, note):
             "protocol": "1-a", "code": "c", "config": config}  # fmt: skip
     tables = run(tmp_path, {"msmg": {**like, **fields}, "tdg": like})
     assert f"unlike trainings: {note}" in tables.grid.notes and not bold(tables)
-    assert tables.findings[0].startswith("TDg against MSMG: n/a")
+    assert tables.findings[0].startswith("TDg against MSMG: not compared")
     assert not tables.problems and tables.main.query("metric == 'psnr' and scene == 'orbit'")["value"].notna().all()
 
 

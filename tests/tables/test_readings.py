@@ -101,7 +101,7 @@ def test_changes_in_words_name_the_split_where_there_are_several():
     heads, rows = changes_as_text(effects(reading_cells(CELLS)))
     assert heads[:3] == ["change", "iterations", "scene"]
     found = {(name, lengths): numbers for name, lengths, _, *numbers in rows}
-    assert found["depth, as written", "3000"][0] == "+0.60 [-0.67, +1.87]"
+    assert found["depth, as written", "3000"][0] == "+0.60 (-0.67 to +1.87)"
     assert found["fewer iterations: tdg", "3000 → 1000"][0].startswith("-1.65") and "n/a" in rows[0]
     other = [record("tdg", 3000, 27.0), record("3dgs_smooth", 3000, 26.0)]
     for one in other:

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 from tdgbench.scenes.registry import SCENES
-from tdgbench.tables.build import build_tables
+from tdgbench.tables.build import TableOptions, build_tables
 from tdgbench.tables.show import show_tables
 from tests.helpers.paths import ROOT
 from tests.helpers.records import published_as_records, write
@@ -20,6 +20,10 @@ def test_prints_numbers_reasons_and_differences(tmp_path, capsys):
     assert "3 of 136 published numbers" in text and "psnr: ours − published -6.280" in text
     assert "1 undecided (unknown for 1)" in text
     assert "found:" not in text  # `show_findings` comes later
+    assert "scenes that are not on disk: `tdgbench data get rgbt_scenes data` and" in text
+    show_tables(build_tables(tmp_path, TableOptions(("psnr_true",))))
+    text = capsys.readouterr().out
+    assert "no backbone" not in text and "n/a: PSNR to true temperatures, dB" in text
 
 
 def test_a_pipe_gets_every_name_and_number_and_the_findings_last(tmp_path):

@@ -27,6 +27,7 @@ from tdgbench.tables.claims.cell_pairs import (
 from tdgbench.tables.claims.evidence import UNDECIDED, Claim, ClaimEvidence, Finding, MissingError
 from tdgbench.tables.claims.quantities import QUANTITIES, Quantity
 from tdgbench.tables.results import Cell
+from tdgbench.tables.statistics import with_interval
 
 COLMAP: Final = "colmap"
 
@@ -165,15 +166,15 @@ def _name(side: Side, other: Side) -> str:
 
 
 def _ratio_text(gain: Interval) -> str:
-    low, high = np.exp(-gain.high), np.exp(-gain.low)
-    return f"{np.exp(-gain.mean):.2f}" + (f" [{low:.2f}, {high:.2f}]" if np.isfinite(gain.low) else "")
+    return with_interval(f"{np.exp(-gain.mean):.2f}", np.exp(-gain.high), np.exp(-gain.low), ".2f")
 
 
 def _difference_text(gain: Interval, quantity: Quantity) -> str:
     """Return mine − other, whatever sign is a gain."""
-    mean, *ends = (f"{quantity.sign * value:+.{quantity.digits}f}" for value in gain[:3])
+    mean, *ends = (quantity.sign * value for value in gain[:3])
     low, high = ends if quantity.higher else reversed(ends)
-    return mean + quantity.unit + (f" [{low}, {high}]" if np.isfinite(gain.low) else "")
+    form = f"+.{quantity.digits}f"
+    return with_interval(f"{mean:{form}}{quantity.unit}", low, high, form)
 
 
 def _links(evidence: ClaimEvidence) -> list[tuple[tuple[str, str], tuple[float, float, float]]]:

@@ -79,16 +79,16 @@ def test_lengths_are_judged_apart_and_all_have_to_hold(tmp_path):
     assert check_claim(claim, ours(*short)).verdict == HOLDS
     found = check_claim(claim, ours(*short, *sides(tmp_path, claim, (-1.0, -1.1, -0.9), iterations=3000)))
     assert found.verdict == FAILS
-    assert "psnr, tdg − 3dgs_smooth at 1000: +3.00 dB [+2.25, +3.75], 3 pairs in 3 scenes (holds)" in found.grounds
-    assert "psnr, tdg − 3dgs_smooth at 3000: -3.00 dB [-3.75, -2.25], 3 pairs in 3 scenes (fails)" in found.grounds
+    assert "psnr, tdg − 3dgs_smooth at 1000: +3.00 dB (+2.25 to +3.75), 3 pairs in 3 scenes (holds)" in found.grounds
+    assert "psnr, tdg − 3dgs_smooth at 3000: -3.00 dB (-3.75 to -2.25), 3 pairs in 3 scenes (fails)" in found.grounds
 
 
 def test_differences_of_what_should_be_low_are_shown_as_they_are(tmp_path):
     claim = CLAIMS["fewer-floaters"]
     grounds = check_claim(claim, ours(*sides(tmp_path, claim, (1.0, 1.1, 0.9)))).grounds
-    assert "floaters, tdg − 3dgs_smooth at 1000: -0.1000 [-0.1248, -0.0752]" in grounds
+    assert "floaters, tdg − 3dgs_smooth at 1000: -0.1000 (-0.1248 to -0.0752)" in grounds
     grounds = check_claim(CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (1.0, 1.0)))).grounds
-    assert "prunes, tdg / 3dgs_smooth at 1000: 0.50 [0.50, 0.50], 2 pairs in 2 scenes" in grounds
+    assert "prunes, tdg / 3dgs_smooth at 1000: 0.50 (0.50 to 0.50), 2 pairs in 2 scenes" in grounds
 
 
 def test_geometry_of_real_scenes_is_judged_by_consistency(tmp_path):
@@ -177,7 +177,7 @@ def chain(folder, times: dict[tuple[str, int], float], scenes="abc"):
     ("smooth", "verdict", "expected"),
     [
         (130, HOLDS, "fewer iterations 50 %, no RGB model -9 %, depth 60 %"),
-        (100, UNDECIDED, "fewer iterations 50 %, depth 50 %; depth alone multiplies time by 0.25 [0.24, 0.25]"),
+        (100, UNDECIDED, "fewer iterations 50 %, depth 50 %; depth alone multiplies time by 0.25 (0.24 to 0.25)"),
         (80, FAILS, "no RGB model 8 %, depth 42 %"),
         (25, FAILS, "no RGB model 50 %, depth 0 %"),
         (20, FAILS, "depth -"),
