@@ -17,7 +17,7 @@ OF_A_MACHINE = ("cpu", "cores", "platform", "python", "packages")
 
 
 class Item(NamedTuple):
-    """A line of the list. missing: what is, in words; empty if nothing is."""
+    """A line of the list. missing: of which cells it is, or how much, in words; empty if nothing is."""
 
     title: str
     missing: str
@@ -35,23 +35,25 @@ def checklist(experiment: Path) -> list[Item]:
         return _first([cell.record.title for cell in finished if lacks(cell)])
 
     return [
-        Item("every planned cell is finished", f"{unfinished} of {planned} cells" if unfinished else ""),
-        Item(f"{FEWEST_SEEDS} seeds of each cell", _first(_cells_of_few_seeds(records))),
-        Item("all test views are there", of(_lacks_renders)),
-        Item("the files are those of the records", of(lambda cell: any(cell.file_problems(others=False)))),
+        Item("all planned cells", f"{unfinished} of {planned}" if unfinished else ""),
+        _item_of_seeds(records),
+        Item("renders of all test views", of(_lacks_renders)),
+        Item("files as the records state them", of(lambda cell: any(cell.file_problems(others=False)))),
         Item("one protocol", ", ".join(protocols) if len(protocols) != 1 else ""),
-        Item("machine and packages are stated", of(_states_no_machine)),
-        Item("a commit of tdgbench without changes made it", of(_states_no_commit)),
+        Item("machine and packages", of(_states_no_machine)),
+        Item("a commit of tdgbench without changes", of(_states_no_commit)),
         Item("a log of each training", of(lambda cell: not (cell.folder / LOG_FILE).exists())),
     ]
 
 
-def _cells_of_few_seeds(records: list[Record]) -> list[str]:
-    """Return titles, without the seed, of cells that have too few."""
+def _item_of_seeds(records: list[Record]) -> Item:
+    """Return the line of seeds, which says how many the cells lack at most."""
     seeds = defaultdict(set)
     for record in records:
         seeds[record.title.replace(f", seed {record.seed}", "")].add(record.seed)
-    return [title for title, found in seeds.items() if len(found) < FEWEST_SEEDS]
+    lacks = {title: FEWEST_SEEDS - len(found) for title, found in seeds.items() if len(found) < FEWEST_SEEDS}
+    most = ("up to " if len({*lacks.values()}) > 1 else "") + f"{max(lacks.values(), default=0)} of " if lacks else ""
+    return Item(f"{most}{FEWEST_SEEDS} seeds of each cell", _first([*lacks]))
 
 
 def _lacks_renders(cell: CellFolder) -> bool:

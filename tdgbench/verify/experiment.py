@@ -7,7 +7,8 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-from tdgbench.cells.known_classes import add_trust_arguments, trust
+from tdgbench.cells.folder import CellFolder
+from tdgbench.cells.known_classes import add_trust_arguments, known_classes, trust
 from tdgbench.cells.paths import CAMERAS_FILE, RECORD_FILE, VIEWS_FILE, files_of
 from tdgbench.cells.plan import read_plan
 from tdgbench.cells.record import Record, no_records, record_files
@@ -29,7 +30,8 @@ class Verification(NamedTuple):
     """Number of cells, how many of them are finished, and every problem in words.
 
     checked: finished cells whose ground truth was compared with data. why_not: of the others, each reason once. equal:
-    scenes with the test images of another one, in words.
+    scenes with the test images of another one, in words. foreign: methods that are none of tdgbench's and whose renders
+    were compared with those of their Gaussians alone.
     """
 
     cells: int
@@ -38,6 +40,7 @@ class Verification(NamedTuple):
     checked: int = 0
     why_not: tuple[str, ...] = ()
     equal: tuple[str, ...] = ()
+    foreign: tuple[str, ...] = ()
 
     @property
     def of_data(self) -> str:
@@ -78,6 +81,9 @@ def main(arguments: list[str]) -> int:
         if verified.finished:
             for sentence in (verified.of_data, *verified.equal):
                 say(one_line(sentence), "data:")
+        if verified.foreign:
+            of = f"that of {', '.join(verified.foreign)} was not run, as it is none of tdgbench's"
+            say(one_line(f"{of}; checked are the stored Gaussians, renders and scores, not what trained them"), "code:")
         status |= bool(verified.problems) or not verified.finished
     return status
 
@@ -93,6 +99,7 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
         raise no_records(experiment)
     of_plan, finished, checked, why_not = Problems(), 0, 0, dict[str, None]()
     sound: list[Record] = []
+    foreign: dict[str, None] = {}
     of_plan.read("its plan", read_plan, experiment)
     problems = of_plan.all
     with true_data(data) as true:
@@ -105,6 +112,7 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
                 check_cell(cell, text, found, weights)
                 if cell.record.status == "ok":
                     finished += 1
+                    foreign |= dict.fromkeys([cell.record.method] if _is_foreign(cell) else [])
                     sound += [] if found.all else [cell.record]
                     try:
                         checked += found.check("its ground truth", data_problems, cell, true)
@@ -114,7 +122,14 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
             problems += [f"{name}: {problem}" for problem in found.all]
     problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {RECORD_FILE} is missing" for folder in lost]
     equal = tuple(equal_in_words(twin, first) for twin, first in equal_scenes(sound).items())
-    return Verification(len(records), finished, problems, checked, tuple(why_not), equal)
+    return Verification(len(records), finished, problems, checked, tuple(why_not), equal, tuple(foreign))
+
+
+def _is_foreign(cell: CellFolder) -> bool:
+    """Return whether the cell's method is none of tdgbench's, and rendering its Gaussians takes none of its code."""
+    options = cell.record.setting("method.method")
+    target = options.get("_target_") if isinstance(options, dict) else None
+    return target not in known_classes("method") and not cell.has_parts
 
 
 def _without_record(experiment: Path) -> list[Path]:

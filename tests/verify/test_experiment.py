@@ -24,7 +24,7 @@ def spoiled(small_results, tmp_path):
 
 
 def test_sound_results(small_results, capsys):
-    assert verify(small_results) == (4, 3, [], 3, (), ())
+    assert verify(small_results) == (4, 3, [], 3, (), (), ())
     assert main([str(small_results)]) == 0 and "4 cells, 3 of them finished, 0 problems" in capsys.readouterr().out
 
 
@@ -33,12 +33,13 @@ def test_equal_data_under_two_names_are_said(small_results, tmp_path, capsys):
     (copy / named).parent.mkdir(parents=True)
     shutil.copytree(copy / CELL, copy / named)
     record = read_record(copy / named)
-    record.scene = "mine"
+    record.scene, record.config["method"]["method"]["_target_"] = "mine", "mine.Mine"
     record.key = cell_key(record)
     record.write(copy / named)
     main([str(copy)])
     said = "data: synthetic/mine has the test images of synthetic/turntable, byte by byte: they are no evidence"
-    assert said in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert said in out and "code: that of tdg was not run" in out
 
 
 SCHEMA_PROBLEMS = [
