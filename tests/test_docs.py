@@ -212,7 +212,7 @@ def test_one_version():
 
 def test_a_version_of_the_changelog_fits_on_a_screen():
     versions = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").split("\n## [")[1:]
-    assert max(len(version.splitlines()) for version in versions) <= 60
+    assert max(len(version.splitlines()) for version in versions) <= 40
 
 
 def test_the_workflow_and_the_hooks_run_the_same_checks_as_the_tests():

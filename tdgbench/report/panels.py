@@ -62,6 +62,33 @@ def curve_panels(cells: Sequence[Cell], colours: Mapping[str, str], problems: li
     return panels
 
 
+def settling_panel(cells: Sequence[Cell], colours: Mapping[str, str]) -> dict[str, Any]:
+    """Return the PSNR of held-out views along each training as SVG, with a dot where it settled, and why in sentences.
+
+    Both are empty where no training held views out, as without `SettlingRule`. Other modalities have dashed lines.
+    """
+    figure, axes = _panel("PSNR of held-out training views, dB", "iterations")
+    drawn, why = list[str](), list[str]()
+    for cell in cells:
+        column = method_label(cell.record, with_init=True)
+        for name, part in cell.record.parts.items():
+            checks = part.get("checks")
+            if not checks:
+                continue
+            other = next((f", {LABELS[one]}" for one in OTHERS if name.endswith(f"{one}_curriculum")), "")
+            label, settled_at = methods.label(column) + other, part.get("settled_at", 0)
+            iterations, _, psnrs = zip(*checks, strict=True)
+            axes.plot(iterations, psnrs, "--" if other else "-", color=colours[column], linewidth=1,
+                      label=None if label in drawn else plain(label))  # fmt: skip
+            drawn.append(label)
+            before = [psnr for iteration, psnr in zip(iterations, psnrs, strict=True) if iteration <= settled_at]
+            if before:
+                axes.plot(settled_at, before[-1], "o", color=colours[column], markersize=3)
+                reason = part.get("reason", "n/a")
+                why.append(f"{cell_title(cell.record)}{other}: settled at iteration {settled_at}, since {reason}")
+    return {"svg": _as_svg(figure, axes) if drawn else "", "why": why}
+
+
 def error_panel(
     errors: Mapping[str, np.ndarray], span: Sequence[float], colours: Sequence[str]
 ) -> dict[str, Any] | None:

@@ -15,7 +15,7 @@ from tdgbench.present.colour_scale import ColourScale
 from tdgbench.present.colours import GUESSED, LEVELS, THERMAL, UNKNOWN, colored, colours_of_levels
 from tdgbench.present.html import filter_tables
 from tdgbench.present.view_pictures import DEPTH, ERROR, middle_view, rendered_depth, scale_of
-from tdgbench.report.panels import curve_panels, error_panel, line_colours
+from tdgbench.report.panels import curve_panels, error_panel, line_colours, settling_panel
 from tdgbench.report.run_facts import cell_title
 from tdgbench.scoring.metrics.seen_pixels import is_barely_seen
 from tdgbench.tables import methods
@@ -73,6 +73,7 @@ def scene_section(
         "assumed": assumed_rows([(methods.label(cell.label), cell.record) for cell in cells]),
         "masked": masked_in_words(record.masked),
         "curves": curve_panels(cells, colours, problems),
+        "settling": settling_panel(cells, colours),
         "problems": problems,
     }
 

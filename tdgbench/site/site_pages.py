@@ -43,6 +43,7 @@ from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows, doubts_of
 from tdgbench.tables.claims import judge_claims, load_claims
 from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
+from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
 from tdgbench.tables.grids import reasons_for_na
 from tdgbench.tables.likeness import setups
@@ -50,7 +51,6 @@ from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import MEASURES, as_text
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
 from tdgbench.tables.results import Cell
-from tdgbench.tables.verdicts import load_margins
 from tdgbench.terminal import errors_in_one_line, say
 
 
@@ -212,12 +212,6 @@ def _scenes_by_reason(rows: Iterable[BoardRow]) -> dict[str, list[str]]:
         if is_unlike(row) and not row.is_average and row.scene not in found.get(row.unranked, []):
             found.setdefault(row.unranked, []).append(row.scene)
     return found
-
-
-def margins_in_words() -> str:
-    """Return the differences that count as equal, of the scores of leaderboards that have a margin."""
-    known = [(MEASURES[name], margin) for name, margin in load_margins().items() if name in SCORES]
-    return ", ".join(f"{one.label} {margin:g}{one.suffix}" for one, margin in known)
 
 
 def _place(row: BoardRow) -> tuple[float, float, bool, str]:

@@ -23,11 +23,21 @@ from tdgbench.tables.results import Cell
 from tdgbench.tables.statistics import mean_interval, seed_values
 from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE, load_margins
 
-BOLD_NOTE = (
-    "bold: the best, and all that seeds cannot tell from it (95 % interval of the difference, margin); "
-    "none where a method has one seed"
-)
 FEWEST_SCENES = 5  # of a test over scenes: with fewer, no outcome could be below 5 %
+
+
+def margins_in_words() -> str:
+    """Return the differences of scores that count as equal, as `margins.yaml` has them."""
+    known = [(MEASURES[name], margin) for name, margin in load_margins().items()]
+    return ", ".join(f"{one.label} {margin:g}{one.suffix}" for one, margin in known)
+
+
+def bold_note() -> str:
+    """Return what bold type in tables means."""
+    return (
+        "bold: the best, and all whose difference from it has an interval (95 %, over seeds) that includes 0 or lies "
+        f"within the margin ({margins_in_words()}); none where a method has one seed"
+    )
 
 
 class Change(NamedTuple):

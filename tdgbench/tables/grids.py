@@ -12,7 +12,7 @@ import pandas as pd
 from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
-from tdgbench.tables.comparisons import BOLD_NOTE
+from tdgbench.tables.comparisons import bold_note
 from tdgbench.tables.long_table import NO_RECORD, RANGE, initial_points, protocol_notes
 from tdgbench.tables.measures import (
     ABLATION,
@@ -67,7 +67,7 @@ def _usual_columns(main: pd.DataFrame) -> tuple[str, ...]:
 
 
 def _bold_note(main: pd.DataFrame) -> list[str]:
-    return [BOLD_NOTE] if main["bold"].any() else []
+    return [bold_note()] if main["bold"].any() else []
 
 
 def further_grid(main: pd.DataFrame) -> Grid | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import os
 import re
 import shutil
@@ -60,6 +61,14 @@ BOX = """(() => {
 def page(tmp_path_factory, small_results):
     """The report of three finished cells and a failed one."""
     experiment = shutil.copytree(small_results, tmp_path_factory.mktemp("page") / "single")
+    path = next((experiment / "cells" / "msmg").rglob("record.json"))
+    record = json.loads(path.read_text())
+    record["parts"]["rgb_curriculum"] = {
+        "checks": [[50, 2, 20.5], [100, 1, 21]],
+        "settled_at": 75,
+        "reason": "it stalls",
+    }
+    path.write_text(json.dumps(record))
     return write_report(build_tables(experiment))
 
 
@@ -67,6 +76,7 @@ def test_everything_is_in_the_file(page):
     text = page.read_text()
     parsed = HtmlPage(text)
     assert text.count("MSMG, thermal + RGB") == 2  # curves of loss and of Gaussians
+    assert text.count("PSNR of held-out") == 1 and ", RGB: settled at iteration 75, since it stalls.</p>" in text
     assert parsed.links and all(link.startswith(("data:", "#")) for link in parsed.links)
     assert "url(http" not in text and "@import" not in text and str(Path.home()) not in text and "/tmp/" not in text
     assert parsed.tags.count("section") == 2
