@@ -18,7 +18,10 @@ from tdgbench.scoring.scored_view import NotApplicableError
 
 Net = Literal["vgg", "alex", "squeeze"]
 DOWNLOAD_TIMEOUT_SECONDS = 20
-NAME_IT = "--weights FILE (of verify), metrics.lpips.weights=FILE (of trainings and score)"
+NAME_IT = (
+    "--weights FILE (of verify), --weights NET=FILE (of tables sensitivity), metrics.lpips.weights=FILE (of trainings "
+    "and score)"
+)
 _failed_downloads: dict[str, str] = {}
 
 
