@@ -106,15 +106,15 @@ def hash_of_sources(experiment: Path) -> str:
     Size and time stand for the content of renders and models, whose hashes are in the records.
     """
     of_sweep = [experiment / PLAN_FILE, *sorted((experiment / "cells").rglob("*"))]
-    code = [path for part in (PACKAGE, conf_folder(), paper_tables_folder()) for path in sorted(part.rglob("*"))]
+    code = {path for part in (PACKAGE, conf_folder(), paper_tables_folder()) for path in part.rglob("*")}
     digest = hashlib.sha256(repr((str(experiment), console().width, console().color_system)).encode())
-    for path in filter(Path.is_file, [*of_sweep, *code]):
+    for path in filter(Path.is_file, [*of_sweep, *sorted(code)]):
         if path.suffix == ".pyc":
             continue
-        if path.suffix in (".json", ".csv") or path.is_relative_to(PACKAGE.parent):
-            content = sha256_of(path)
-        else:
-            content = f"{path.stat().st_size} {path.stat().st_mtime_ns}"
+        content = f"{path.stat().st_size} {path.stat().st_mtime_ns}"
+        if path in code or path.suffix in (".json", ".csv"):
+            with suppress(OSError, ValueError):  # the tables say what cannot be read
+                content = sha256_of(path, inside=None if path in code else experiment)
         digest.update(f"{path}\0{content}\0".encode("utf-8", "backslashreplace"))
     return digest.hexdigest()
 
