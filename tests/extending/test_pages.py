@@ -190,17 +190,6 @@ def test_density_rule(page, data_root):
     assert rounds == [600, 700, 900, 1300, 2100, 3700, 6900, 13300]
 
 
-@pytest.fixture
-def as_before():
-    """Forget the metrics that tables learn of, as a process does at its end."""
-    kept = [(one, one.copy()) for one in (measures.MEASURES, measures.EXTRA, measures.TRAINING)]
-    yield
-    for one, before in kept:
-        one.clear()
-        one.update(before) if isinstance(one, dict) else one.extend(before)
-
-
-@pytest.mark.usefixtures("as_before")
 def test_metric(page, data_root):
     metric = page("metric")
     train, tables, score, verify = (words[1:] for words in metric.commands)

@@ -21,7 +21,6 @@ from hydra.core.singleton import Singleton
 import tdgbench.command
 from tdgbench.__main__ import main
 from tdgbench.splats.cpu import pool
-from tdgbench.tables import methods
 from tests.helpers.paths import ROOT
 
 
@@ -77,7 +76,6 @@ def _as_a_process(folder: Path, words: tuple[str, ...]) -> Iterator[None]:
             mock.patch.object(sys, "argv", list(words)),
             mock.patch.object(sys, "path", sys.path[:]),
             mock.patch.dict(os.environ, _variables(folder)),
-            mock.patch.dict(methods._OWN),
         ):
             GlobalHydra.instance().clear()
             yield

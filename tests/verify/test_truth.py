@@ -111,9 +111,9 @@ def test_the_site_does_not_rank_rows_of_another_truth(forged, small_results, tmp
     ]
     assert site([*packs, str(tmp_path / "site")]) == 0
     index = (tmp_path / "site/index.html").read_text()
-    assert "Not comparable on turntable" in index and "was not compared with the data" in index
+    assert "No ranks on turntable" in index and "was not compared with the data" in index
     assert site([packs[0], str(tmp_path / "alone")]) == 0
-    assert "Not comparable" not in (tmp_path / "alone/index.html").read_text()
+    assert "No ranks" not in (tmp_path / "alone/index.html").read_text()
 
 
 def test_records_state_the_truth_of_their_views(small_results, small_gray_scene):
