@@ -92,7 +92,7 @@ def remade(page: str, folder: Path, untrained: bool = False) -> str:
         wanted = re.compile(block.notes.get("lines", ""))
         parts += [page[at : block.start], *(line for line in output.splitlines(True) if wanted.search(line))]
         at = block.end
-    made = f"Made on {date.today()} with tdgbench {__version__}: {machine()}."
+    made = f"Made on {date.today()} with tdgbench {__version__}: {machine()}, {os.cpu_count()} cores."
     return MADE.sub(made, "".join([*parts, page[at:]]))
 
 

@@ -174,7 +174,7 @@ class Jobs:
     """The jobs of a sweep, as Hydra's own sweeper makes them: their words, and their composed configurations.
 
     Hydra takes a fifth of a second to compose one. Jobs that differ in scene and seed alone share one, in which these
-    two are set as Hydra sets them: a configuration is of its job until the next one is composed.
+    two are set as Hydra sets them: the next call may change the configuration that this one returned.
     """
 
     def __init__(self, config: DictConfig) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tdgbench.site.packed import SCORES, BoardRow
 from tdgbench.tables import methods
-from tdgbench.tables.comparisons import change_over_seeds, told_apart
+from tdgbench.tables.comparisons import best_or_tied, change_over_seeds
 from tdgbench.tables.measures import HOURS
 from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE
 from tdgbench.text import as_typed
@@ -100,7 +100,7 @@ def _bold(metric: str, rows: Sequence[BoardRow]) -> list[bool]:
     if metric == HOURS.name and len(set().union(*(row.machines for row in rows))) > 1:
         return [False] * len(rows)
     values = [row.scores[SCORES.index(metric)].value for row in rows]
-    return told_apart(metric, np.array(values, dtype=float), _by_seed(metric, rows)).tolist()
+    return best_or_tied(metric, np.array(values, dtype=float), _by_seed(metric, rows)).tolist()
 
 
 def _by_seed(metric: str, rows: Sequence[BoardRow]) -> np.ndarray:

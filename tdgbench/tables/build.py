@@ -18,6 +18,7 @@ from tdgbench.cells.record import Record
 from tdgbench.files import write_text
 from tdgbench.present.grid import Grid
 from tdgbench.scenes.registry import DATASETS
+from tdgbench.tables import measures, methods
 from tdgbench.tables.as_csv import to_csv
 from tdgbench.tables.between_papers import against_others, between_papers
 from tdgbench.tables.comparisons import MethodComparison, compare_methods, comparison_tables, with_bold
@@ -108,6 +109,8 @@ def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:
     A record that cannot be read gives n/a with the reason, and is one of the results' `problems`; so is a mean of
     unlike trainings. Raises ValueError for an empty folder, naming it, and for columns that no table has.
     """
+    for known in (measures, methods):  # of the folder that was read before
+        known.forget_own()
     results = read_results(experiment)  # whose own metrics are columns, too
     unknown = [name for name in options.columns if name not in (*COLUMNS, *EXTRA)]
     if unknown:

@@ -92,14 +92,14 @@ def change_over_seeds(metric: str, new: np.ndarray, old: np.ndarray) -> Change:
     return Change(float(new[both].mean()), float(old[both].mean()), mean, low, high, int(both.sum()), verdict)
 
 
-def told_apart(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.ndarray:
+def best_or_tied(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.ndarray:
     """Return whether each method (N,) bool is the best, or cannot be told from it: those that a table prints bold.
 
     values: means (N,), NaN for n/a. by_seed: (N, S), NaN where a method lacks the seed. None is, unless each method
     has two seeds in common with the best.
 
     >>> seeds = np.array([[20.0, 20.2], [30.0, 30.1], [30.0, 30.3]])
-    >>> told_apart("psnr", seeds.mean(axis=1), seeds).tolist()
+    >>> best_or_tied("psnr", seeds.mean(axis=1), seeds).tolist()
     [False, True, True]
     """
     known = np.flatnonzero(~np.isnan(values))
@@ -115,14 +115,14 @@ def told_apart(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.ndarr
 
 
 def with_bold(rows: pd.DataFrame, by_seed: pd.DataFrame, within: Sequence[str]) -> pd.DataFrame:
-    """Return the rows with the column `bold`: which are `told_apart` among those of equal metric and `within`.
+    """Return the rows with the column `bold`: which are `best_or_tied` among those of equal metric and `within`.
 
     by_seed: the rows' values by seed, with their index. Rows of unlike trainings (column `training`) are no rivals.
     """
     bold = pd.Series(False, rows.index)
     for _, rivals in rows.groupby([*within, "metric", *(["training"] if "training" in rows else [])], sort=False):
         values, seeds = rivals["value"].to_numpy(float), by_seed.loc[rivals.index].to_numpy(float)
-        bold[rivals.index] = told_apart(rivals["metric"].iloc[0], values, seeds)
+        bold[rivals.index] = best_or_tied(rivals["metric"].iloc[0], values, seeds)
     return rows.assign(bold=bold)
 
 

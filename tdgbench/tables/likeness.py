@@ -129,7 +129,7 @@ class Trainings:
 
 
 def setups(records: Sequence[Record], timed: bool = False, with_length: bool = False) -> list[str]:
-    """Return of each cell what another one has to share to be compared with it, as text: equal texts are alike.
+    """Return a text for each cell. Two cells may be compared if their texts are equal.
 
     Scene, split and all that has to agree but what pairs may differ in: method and its options, prior, initial points,
     seed and number of iterations. timed: times compare, so the machine has to agree. with_length: so do the iterations,
@@ -183,7 +183,7 @@ def _by_value(one: Difference) -> str:
 
 
 def _differences(columns: Mapping[str, Sequence[Mapping[str, object]]], left_out: Sequence[str]) -> list[Difference]:
-    """Return in what columns, each of the traits of its cells, differ. What a cell does not state agrees with all."""
+    """Return the traits in which columns differ. A trait that a cell lacks equals any value."""
     stated_by = (name for cells in columns.values() for traits in cells for name in traits)
     names = sorted(dict.fromkeys(stated_by), key=lambda name: name not in NAMED)  # before the options of their groups
     found: dict[str, Difference] = {}

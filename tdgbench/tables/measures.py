@@ -81,6 +81,14 @@ def entries_of(extra: Iterable[str]) -> dict[str, MetricEntry]:
     return entries
 
 
+def forget_own() -> None:
+    """Print the metrics of tdgbench alone from now on."""
+    for known in (EXTRA, TRAINING):
+        known[:] = [name for name in known if name in _BUILT_IN]
+    for name in MEASURES.keys() - _BUILT_IN:
+        del MEASURES[name]
+
+
 def learn(own_metrics: Mapping[str, MetricEntry]) -> None:
     """Print the metrics of a plan by their entries from now on; none replaces a number of tdgbench."""
     for name, entry in own_metrics.items():

@@ -27,6 +27,11 @@ class MethodPair(NamedTuple):
 _OWN: dict[str, MethodEntry] = {}
 
 
+def forget_own() -> None:
+    """Print the methods of tdgbench alone by their entries from now on."""
+    _OWN.clear()
+
+
 def learn(own_methods: Mapping[str, MethodEntry]) -> None:
     """Print the methods of a plan by their entries from now on; none replaces one of tdgbench."""
     _OWN.update(own_methods)

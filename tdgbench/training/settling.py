@@ -26,12 +26,12 @@ class SettlingRule(Rule):
     Every `every` iterations the held-out views are rendered: a check. A window is a share of the checks at the current
     resolution. The training stalls when the last window gains less than `gain` on the window before. At the full
     resolution, a window stalls only if its gain plus one standard error is below `gain`, so that noise hides no gain.
-    No check counts before `last_after`, since nothing has grown.
+    At the full resolution, no check is made until `last_after`, since nothing has grown.
 
     A stall below the full resolution ends that resolution. The training settles after two resolutions in a row without
     a new best, or at the full resolution once the windows of stalls in a row cover `stalled_checks`. It settles at the
     best resolution: from then on the held-out views are trained on as well, no Gaussians are added, and all learning
-    rates fall log-linearly for `tail`. A training that never stalls settles that long before its last iteration.
+    rates fall log-linearly for `tail`. One that never stalls settles so that the tail ends it.
     """
 
     ends_training = True

@@ -10,7 +10,7 @@ from scipy import stats
 from tdgbench.cells.plan import Plan
 from tdgbench.tables import methods
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.comparisons import change_over_seeds, compare_methods, paired_tests, told_apart
+from tdgbench.tables.comparisons import best_or_tied, change_over_seeds, compare_methods, paired_tests
 from tdgbench.tables.findings import findings_of_methods
 from tdgbench.tables.long_table import cell_rows
 from tdgbench.tables.published import published_main
@@ -66,7 +66,7 @@ def test_the_interval_is_students_of_paired_seeds():
 def test_bold_is_the_best_and_what_cannot_be_told_from_it(metric, by_seed, bold):
     seeds = np.array(by_seed)
     values = np.array([row[~np.isnan(row)].mean() if not np.isnan(row).all() else NAN for row in seeds])
-    assert told_apart(metric, values, seeds).tolist() == bold
+    assert best_or_tied(metric, values, seeds).tolist() == bold
 
 
 def changes_of(table: pd.DataFrame) -> pd.DataFrame:
