@@ -3,8 +3,8 @@
 `reproduced`: the 90 % interval of our mean (Student) lies within the margin around the published number. `better`,
 `worse`: it lies outside, on one side. `not reproduced`: of one seed, beyond the margin and any spread over seeds
 (`seed_spreads.yaml`). `undecided`: anything else. `reproduced`, `better` and `worse` are each wrong in at most 5 % of
-cases, for a number of seeds that was chosen beforehand (docs/findings/verdicts.md). A verdict holds for every number that prints the
-same: half a unit narrows the margin for `reproduced` and widens it for `better` and `worse`.
+cases, for a number of seeds that was chosen beforehand (docs/findings/verdicts.md). A verdict holds for every number
+that prints the same: half a unit narrows the margin for `reproduced` and widens it for `better` and `worse`.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import pytest
 
 from tdgbench.cells.cell_tables import write_views
 from tdgbench.cells.paths import RECORD_FILE
-from tdgbench.cells.plan import Plan
+from tdgbench.cells.plan import MetricEntry, Plan
 from tdgbench.cells.record import Record
 from tdgbench.scenes import Description
 from tdgbench.scoring import METRICS
@@ -34,6 +34,14 @@ def experiment(tmp_path) -> Path:
     for scene in ("orbit", "night"):
         write(tmp_path / "e", scene=scene, dataset="synthetic", group="360", scores={"psnr": 21.0})
     return tmp_path / "e"
+
+
+def test_own_metrics_of_one_folder_are_no_columns_of_the_next(experiment, tmp_path):
+    entry = MetricEntry("sharpness", "of edges", "dB", 1, True, (None, None), "")
+    Plan(own_metrics={"sharpness": entry}).write(tmp_path / "own")
+    write(tmp_path / "own", scores={"psnr": 21.0, "sharpness": 1.0})
+    tables = [build_tables(folder).main["metric"].tolist() for folder in (experiment, tmp_path / "own", experiment)]
+    assert tables[0] == tables[2] and "sharpness" in tables[1]
 
 
 def test_runs_without_a_name_share_no_table(experiment):
