@@ -229,7 +229,7 @@ def test_ci_deselects_one_test():
     assert "-m 'not slow'" in options["addopts"]
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     assert "sed -n 2p) -m '' --deselect" in script and 'bash -c "$command"' in script
-    assert script.count("deselect") == 1 and "test_outputs.py::test_what_is_printed\"" in script
+    assert script.count("deselect") == 1 and 'test_outputs.py::test_what_is_printed"' in script
 
 
 @pytest.mark.parametrize("page", OF_TODAY, ids=lambda page: page.relative_to(ROOT).as_posix())
