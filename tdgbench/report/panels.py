@@ -44,10 +44,8 @@ def curve_panels(cells: Sequence[Cell], colours: Mapping[str, str], problems: li
         if log is None or not {"seconds", *CURVES} <= set(log.columns):
             problems.append(f"{cell_title(cell.record)}: log.csv is missing or no log, so its curves are n/a")
             continue
-        column, summed = (
-            method_label(cell.record, with_init=True),
-            sorted(cell.record.gaussians, key=OTHERS.__contains__),
-        )
+        column = method_label(cell.record, with_init=True)
+        summed = sorted(cell.record.gaussians, key=OTHERS.__contains__)
         models[column] = f", {' + '.join(LABELS.get(name, name) for name in summed)}" if len(summed) > 1 else ""
         logs.append((column, log.iloc[:: -(-len(log) // MOST_POINTS)]))
     panels = []
