@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -15,6 +16,7 @@ from tdgbench.training.method import Method
 
 _OF_TABLES = ("label", "order", "compared_with")  # keys of a method's file that tables alone read
 _OF_RECORDS = ("made_from",)  # key of a prior's file that describes it
+LACKING = object()
 
 
 def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
@@ -86,9 +88,8 @@ def why_differs(old: Record, new: Record) -> list[str]:
     """
     if old.key == new.key:
         return []
-    before, after = ({k: json.dumps(v) for k, v in flat(record.config).items()} for record in (old, new))
-    texts = {name: (before.get(name, "nothing"), after.get(name, "nothing")) for name in sorted({*before, *after})}
-    changes = [f"{name}: {a} → {b}" for name, (a, b) in texts.items() if a != b]
+    texts = [{k: json.dumps(v) for k, v in flat(record.config).items()} for record in (old, new)]
+    changes = [f"{name}: {a} → {b}" for name, (a, b) in sorted(differences(texts, "nothing").items())]
     if old.failure is not None and not old.code:  # it ended before its files and code were known
         return (changes if old.config else []) or [f"what failed in {old.failure.phase}"]
     (scene, _, others), (new_scene, _, new_others) = old.data.partition("-"), new.data.partition("-")
@@ -99,6 +100,17 @@ def why_differs(old: Record, new: Record) -> list[str]:
     if old.code != new.code:
         changes.append("the code changed")
     return changes
+
+
+def differences(cells: Sequence[Mapping[Any, Hashable]], lacking: Hashable = LACKING) -> dict[Any, tuple[Any, ...]]:
+    """Return the values of each setting in which cells differ. lacking: of one that a cell lacks; by default any value.
+
+    >>> differences([{"seed": 0, "size": 9}, {"seed": 1}])
+    {'seed': (0, 1)}
+    """
+    names = dict.fromkeys(name for settings in cells for name in settings)
+    values = {name: tuple(settings.get(name, lacking) for settings in cells) for name in names}
+    return {name: of_cells for name, of_cells in values.items() if len({*of_cells} - {LACKING}) > 1}
 
 
 def flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:

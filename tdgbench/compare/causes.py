@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 from tdgbench.cells.ground_truth import views_with_other_truth
-from tdgbench.cells.key import flat
+from tdgbench.cells.key import differences, flat
 from tdgbench.cells.protocol import MEASURED_ON
 from tdgbench.cells.record import Record
 from tdgbench.compare.compared_cells import ComparedCell
@@ -46,10 +46,8 @@ def find_causes(pairs: Iterable[ComparedCell]) -> list[Cause]:
     for pair in pairs:
         a, b = settings(pair.a.record), settings(pair.b.record)
         a[TRUTH], b[TRUTH] = "A's", truth_in_words(pair)
-        for key in {**a, **b}:
-            values = a.get(key, "n/a"), b.get(key, "n/a")
-            if values[0] != values[1]:
-                found.setdefault(key, Counter())[values] += 1
+        for key, (mine, theirs) in differences([a, b], "n/a").items():
+            found.setdefault(key, Counter())[mine, theirs] += 1
     causes = [Cause(*key, counts.most_common(1)[0][0], counts.total()) for key, counts in found.items()]
     kinds = list(KINDS)
     return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells))

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tdgbench.cells.key import differences
 from tdgbench.site.packed import SCORES, BoardRow
 from tdgbench.tables import methods
 from tdgbench.tables.comparisons import best_or_tied, change_over_seeds
@@ -85,14 +86,10 @@ def _differences(rows: Sequence[BoardRow]) -> str:
     """Return in what rows that are not alike differ, with the values that tell a reader something."""
     if rows[0].is_average:
         return "their trainings or images of a scene"
-    stated = [json.loads(text) for row in rows for text in sorted(row.setups)]
-    values: dict[str, dict[str, None]] = {}
-    for name, value in (item for one in stated for item in one.items()):
-        values.setdefault(name, {})[as_typed(value)] = None
-    several = {name: " or ".join(found) for name, found in values.items() if len(found) > 1}
-    return "; ".join(name if name in WITHOUT_WORDS else f"{name}: {text}" for name, text in several.items()) or (
-        "options that some records lack"
-    )
+    setups = (json.loads(text) for row in rows for text in sorted(row.setups))
+    found = differences([{name: as_typed(value) for name, value in one.items()} for one in setups], as_typed(None))
+    texts = {name: f"{name}: {' or '.join(dict.fromkeys(values))}" for name, values in found.items()}
+    return "; ".join(name if name in WITHOUT_WORDS else text for name, text in texts.items())
 
 
 def _bold(metric: str, rows: Sequence[BoardRow]) -> list[bool]:

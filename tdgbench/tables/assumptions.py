@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from tdgbench.cells.key import differences
 from tdgbench.cells.record import Record
 from tdgbench.text import named
 
@@ -70,8 +71,5 @@ def assumed_differences(pairs: Iterable[tuple[Record, Record]]) -> list[AssumedD
         texts = [{**one.assumed, DOUBTS: "; ".join(one.doubts) or "none"} for one in (a, b)]
         if not a.assumed or not b.assumed:
             texts = [{"assumptions": "stated" if one.assumed else UNSTATED} for one in (a, b)]
-        for name in dict.fromkeys([*texts[0], *texts[1]]):
-            mine, theirs = (text.get(name, UNSTATED) for text in texts)
-            if mine != theirs:
-                found[AssumedDifference(scene, name, mine, theirs)] = None
+        found |= {AssumedDifference(scene, name, *two): None for name, two in differences(texts, UNSTATED).items()}
     return sorted(found, key=lambda one: one.scene)

@@ -9,12 +9,12 @@ no rivals, and a mean over unlike trainings is n/a.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import pandas as pd
 
-from tdgbench.cells.key import flat
+from tdgbench.cells.key import LACKING, differences, flat
 from tdgbench.cells.protocol import protocol_settings
 from tdgbench.cells.record import Record
 from tdgbench.tables import methods
@@ -133,14 +133,15 @@ def setups(records: Sequence[Record], timed: bool = False, with_length: bool = F
 
     Scene, split and all that has to agree but what pairs may differ in: method and its options, prior, initial points,
     seed and number of iterations. timed: times compare, so the machine has to agree. with_length: so do the iterations,
-    unless they are those that the method's authors state.
+    unless they are those that the method's authors state. An option that is null equals one that a record lacks: it is
+    of a version before there was the option.
     """
     left_out = ("budget", "prior", *(() if timed else MACHINE), *(() if with_length else ("iterations",)))
     found = []
     for record, traits in zip(records, _traits(records), strict=True):
         kept = {
             name: AUTHORS if isinstance(value, _Own) else value for name, value in traits.items()
-            if name not in left_out and not name.startswith((*OF_A_COLUMN, "prior."))
+            if value is not None and name not in left_out and not name.startswith((*OF_A_COLUMN, "prior."))
         }  # fmt: skip
         place = [record.dataset, record.scene, record.split]
         found.append(json.dumps([*place, kept], sort_keys=True, default=str))
@@ -184,25 +185,24 @@ def _by_value(one: Difference) -> str:
 
 def _differences(columns: Mapping[str, Sequence[Mapping[str, object]]], left_out: Sequence[str]) -> list[Difference]:
     """Return the traits in which columns differ. A trait that a cell lacks equals any value."""
-    stated_by = (name for cells in columns.values() for traits in cells for name in traits)
-    names = sorted(dict.fromkeys(stated_by), key=lambda name: name not in NAMED)  # before the options of their groups
+    cells = [(column, traits) for column, of_column in columns.items() for traits in of_column]
+    stated = {name for _, traits in cells for name, v in traits.items() if isinstance(v, _Own) and v.is_stated}
+    values_of = [
+        {name: AUTHORS if name in stated and isinstance(value, _Own) else _plain(value)
+         for name, value in traits.items() if name not in left_out} for _, traits in cells
+    ]  # fmt: skip
     found: dict[str, Difference] = {}
-    for name in names:
-        if name in left_out or any(name.startswith(f"{group}.") and group in found for group in NAMED):
+    for name, values in sorted(differences(values_of).items(), key=lambda one: one[0] not in NAMED):  # then options
+        if any(name.startswith(f"{group}.") and group in found for group in NAMED):
             continue
-        stated = [traits[name] for cells in columns.values() for traits in cells if name in traits]
-        stating = any(isinstance(value, _Own) and value.is_stated for value in stated)
         kept: dict[str, dict[object, str]] = {}
-        for column, cells in columns.items():
-            of_cells = [traits[name] for traits in cells if name in traits]
-            kept[column] = dict(
-                ("own", AUTHORS) if stating and isinstance(value, _Own) else (_plain(value), as_typed(_plain(value)))
-                for value in of_cells
-            )
+        for (column, _), value in zip(cells, values, strict=True):
+            if value is not LACKING:
+                kept.setdefault(column, {})[value] = as_typed(value)
         if name.startswith(OF_A_COLUMN):
-            kept = {column: values for column, values in kept.items() if len(values) > 1}
-        if len({key for values in kept.values() for key in values}) > 1:
-            found[name] = Difference(name, {c: tuple(v.values()) for c, v in kept.items() if v})
+            kept = {column: texts for column, texts in kept.items() if len(texts) > 1}
+        if kept:
+            found[name] = Difference(name, {column: tuple(texts.values()) for column, texts in kept.items()})
     return list(found.values())
 
 
@@ -213,10 +213,10 @@ class _Own(NamedTuple):
     is_stated: bool
 
 
-def _plain(value: object) -> object:
+def _plain(value: object) -> Hashable:
     """Return a value that is its own key."""
     value = value.value if isinstance(value, _Own) else value
-    return as_typed(value) if isinstance(value, list | dict) else value
+    return value if isinstance(value, Hashable) else as_typed(value)
 
 
 def _traits(records: Sequence[Record]) -> list[dict[str, object]]:

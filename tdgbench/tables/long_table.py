@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import partial
 
 import numpy as np
@@ -85,7 +85,14 @@ def cell_rows(records: Iterable[Record], plan: Plan, init: str | None = None) ->
 def scene_rows(cells: pd.DataFrame) -> pd.DataFrame:
     """Return rows (KEYS, value, reason): means over the seeds of `cell_rows`; n/a if any seed lacks the number."""
     first_reason = cells[cells["reason"] != ""].groupby(KEYS, sort=False)["reason"].first()
-    return _means(cells, KEYS).join(first_reason, on=KEYS).fillna({"reason": ""})
+    return means(cells, KEYS).join(first_reason).fillna({"reason": ""}).reset_index()
+
+
+def means(rows: pd.DataFrame, over: list[str], columns: Sequence[Hashable] = ("value",)) -> pd.DataFrame:
+    """Return the mean of columns over each group of rows, with the index `over`; NaN if any is."""
+    groups = rows.groupby(over, sort=False)[list(columns)]
+    found = {key: group.to_numpy().T.copy().mean(axis=1) for key, group in groups}
+    return pd.DataFrame(list(found.values()), pd.MultiIndex.from_tuples(found, names=over), columns)
 
 
 def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
@@ -137,15 +144,10 @@ def _averages(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
     """Return an average over the scenes of each group of rows, and why it is n/a."""
     lacking = rows.assign(missing=rows["value"].isna()).groupby(over, sort=False)["missing"].agg(["sum", "size"])
     reasons = rows[rows["value"].isna() & (rows["reason"] != "")].groupby(over, sort=False)["reason"]
-    known = _means(rows, over).set_index(over).join([lacking, reasons.agg(one="first", count="nunique")])
+    known = means(rows, over).join([lacking, reasons.agg(one="first", count="nunique")])
     several = known["sum"].astype(str) + " of " + known["size"].astype(str) + " scenes are n/a"
     known["reason"] = known["one"].where(known["count"] == 1, several).where(known["sum"] > 0, "")
     return known[["value", "reason"]].reset_index().assign(group="")
-
-
-def _means(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
-    """Return the mean value of each group of rows; NaN if any is."""
-    return rows.groupby(over, sort=False)["value"].agg(lambda values: values.to_numpy().mean()).reset_index()
 
 
 def _scenes(records: list[Record], plan: Plan) -> list[Description]:

@@ -10,7 +10,7 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from tdgbench.cells.record import Record
-from tdgbench.tables.long_table import method_label
+from tdgbench.tables.long_table import means, method_label
 from tdgbench.tables.measures import AVERAGE, KEYS, OF_RECORDS, OVERALL
 from tdgbench.tables.results import Cell
 
@@ -118,15 +118,11 @@ def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray
 
 def _with_averages(rows: pd.DataFrame, several: pd.DataFrame) -> pd.DataFrame:
     """Return rows with the index KEYS, now columns, and their averages. several: those of an overall average."""
-    parts = [rows.reset_index(), _averages(rows, ["method", "dataset", "metric"]).assign(group="", scene=AVERAGE),
-             _averages(several, ["method", "metric"]).assign(dataset="", group="", scene=OVERALL)]  # fmt: skip
+    parts = [rows.reset_index()]
+    if not rows.empty:
+        of_each = means(rows, ["method", "dataset", "metric"], rows.columns).reset_index()
+        parts.append(of_each.assign(group="", scene=AVERAGE))
+    if not several.empty:
+        overall = means(several, ["method", "metric"], rows.columns).reset_index()
+        parts.append(overall.assign(dataset="", group="", scene=OVERALL))
     return pd.concat(parts, ignore_index=True)
-
-
-def _averages(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
-    """Return the mean of each column over the scenes of each group of rows; NaN if any is."""
-    if rows.empty:
-        return pd.DataFrame(columns=over)
-    groups = {key: group.to_numpy().T.copy().mean(axis=1) for key, group in rows.groupby(level=over, sort=False)}
-    index = pd.MultiIndex.from_tuples(groups, names=over)
-    return pd.DataFrame(list(groups.values()), index, rows.columns).reset_index()

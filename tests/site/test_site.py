@@ -158,12 +158,14 @@ def test_budgets_in_words_take_nothing_from_a_record_but_values(monkeypatch):
 def test_rows_of_other_images_are_not_compared(tmp_path):
     packs = []
     for name, data in (("a", "1f-9"), ("b", "1f"), ("c", "2e")):  # behind the hyphen: files of a depth prior
-        of_version = {"code": name.replace("b", "a"), "environment": {"packages": {"tdgbench": name}}}
+        of_version = {"code": name.replace("b", "a"), "environment": {"packages": {"tdgbench": name}},
+                      "config": {"skip": {"gray": None if name != "c" else True}}}  # fmt: skip
         write(tmp_path / name, "tdg" if name == "a" else "msmg", "Truck", data=data, **of_version)
         packs.append(pack(tmp_path / name, tmp_path / f"{name}.zip", keep_paths=True)[0])
     assert "No ranks" not in (make(tmp_path / "same", *packs[:2]) / "index.html").read_text()
     index = (make(tmp_path / "mixed", *packs) / "index.html").read_text()
-    assert "<b>No ranks on Truck</b>: the rows of all packs differ in scene&#39;s files; tdgbench: a or c." in index
+    differ = "scene&#39;s files; tdgbench: a or c; skip.gray: null or true."
+    assert f"<b>No ranks on Truck</b>: the rows of all packs differ in {differ}" in index
 
 
 def test_published_numbers_and_verdicts_stand_beside(site):

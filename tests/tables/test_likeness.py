@@ -172,3 +172,5 @@ def test_setups_leave_out_method_prior_seed_and_length():
         True, False, False,
     ]  # fmt: skip
     assert len(set(setups([one, cell("msmg", 10, 5)], with_length=True))) == 2
+    newer = record(config={**one.config, "thermal_camera": {"drift": None}})  # off, as before there was the option
+    assert setups([newer]) == setups([one])
