@@ -10,9 +10,7 @@ from typing import NoReturn
 
 from tdgbench.resources import import_from_no_working_folder
 from tdgbench.signals import SIGNALS, Interrupted, interruptible
-from tdgbench.terminal import guard_streams, say
-
-TRACEBACK = "HYDRA_FULL_ERROR"  # environment variable that asks for tracebacks
+from tdgbench.terminal import FULL_ERROR, guard_streams, say
 
 
 def main() -> int:
@@ -24,7 +22,7 @@ def main() -> int:
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # of joblib, about workers that a signal ended
     gc.disable()  # what is imported stays: looking for garbage takes a fifth of an import's time
     guard_streams()
-    wants_traceback = bool(os.environ.get(TRACEBACK))
+    wants_traceback = bool(os.environ.get(FULL_ERROR))
     try:
         import_from_no_working_folder()
     except OSError as error:  # torch would end the process without a word

@@ -17,11 +17,10 @@ from omegaconf import DictConfig
 from tdgbench import __version__
 from tdgbench.bench.commit import commit_in_words
 from tdgbench.resources import conf_folder, import_from_working_folder
-from tdgbench.terminal import console, say
+from tdgbench.terminal import FULL_ERROR, console, say
 from tdgbench.tools import TOOLS, usage
 
 DEMO = "+experiment=demo"
-FULL_ERROR = "HYDRA_FULL_ERROR"  # environment variable; Hydra raises its errors instead of printing tracebacks
 
 
 def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:

@@ -17,6 +17,8 @@ from rich.text import Text
 from tdgbench.text import one_line
 
 Arguments = ParamSpec("Arguments")
+# Environment variable: tdgbench shows tracebacks, and Hydra raises its errors instead of printing them.
+FULL_ERROR = "HYDRA_FULL_ERROR"
 UNPRINTABLE = "backslashreplace"  # how characters outside of the stream's encoding are printed
 LONGEST = 10_000  # characters of a message; the help has some 4 000
 COLOURS = re.compile("\x1b\\[[0-9;]*m")  # of rich

@@ -65,7 +65,7 @@ TOOLS = {
 }
 
 WIDTH = 118
-COLUMN = 42  # width of the first column
+LEFT_WIDTH = 42  # width of the first column
 
 COMMANDS = (
     ("", "the demo: MSMG and TDg on four built-in scenes"),
@@ -99,7 +99,7 @@ def usage() -> str:
     }
     lines = []
     for title, rows in sections.items():
-        lines += [title, *(f"  {left:<{COLUMN}} {right}" for left, right in rows)]
+        lines += [title, *(f"  {left:<{LEFT_WIDTH}} {right}" for left, right in rows)]
     return "\n".join(lines)
 
 
@@ -107,4 +107,4 @@ def _summary(path: Path) -> str:
     """Return the first sentence of the first comment of a YAML file, shortened to one line."""
     comments = [line.lstrip("# ").rstrip() for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
     text = " ".join(comment for comment in comments if not comment.startswith("@package"))
-    return textwrap.shorten(text.split(". ")[0].rstrip("."), WIDTH - COLUMN - 2, placeholder=" ...")
+    return textwrap.shorten(text.split(". ")[0].rstrip("."), WIDTH - LEFT_WIDTH - 2, placeholder=" ...")

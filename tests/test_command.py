@@ -9,13 +9,14 @@ import pytest
 
 from tdgbench import command
 from tdgbench.resources import conf_folder
+from tdgbench.terminal import FULL_ERROR
 from tdgbench.tools import TOOLS, usage
 
 
 def test_a_run_leaves_the_environment_as_it_was(monkeypatch):
     """Else whatever this process runs next would print tracebacks."""
     monkeypatch.setattr(sys, "argv", ["tdgbench"])
-    monkeypatch.delenv(command.FULL_ERROR, raising=False)
+    monkeypatch.delenv(FULL_ERROR, raising=False)
     before = dict(os.environ)
     with pytest.raises(Exception, match="nosuch"):
         command.run(["nosuch=1"])

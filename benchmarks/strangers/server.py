@@ -181,9 +181,10 @@ def _callable(words: list[str]) -> Callable[[], Any]:
     if ":" in words[0]:
         module, _, name = words[0].partition(":")
         return partial(getattr(importlib.import_module(module), name), words[1:])
-    from tdgbench.__main__ import TRACEBACK, main
+    from tdgbench.__main__ import main
+    from tdgbench.terminal import FULL_ERROR
 
-    sys.argv[:], os.environ[TRACEBACK] = ["tdgbench", *words], "1"
+    sys.argv[:], os.environ[FULL_ERROR] = ["tdgbench", *words], "1"
     return main
 
 

@@ -22,6 +22,7 @@ from tdgbench.cells.record import Failure
 from tdgbench.priors import PriorError, PriorUnavailableError
 from tdgbench.scenes import SceneError
 from tdgbench.scoring.metric import MetricError
+from tdgbench.terminal import FULL_ERROR
 from tdgbench.text import meant
 from tdgbench.training.part import TrainingError
 
@@ -133,7 +134,7 @@ def error_message(error: BaseException, words: Sequence[str] = ()) -> str:
             return message
     if isinstance(error.__cause__, OSError):  # e.g. of logging, whose file cannot be opened
         return f"{error}: {error.__cause__}"
-    return f"{type(error).__name__}: {error}{_in(words)} (HYDRA_FULL_ERROR=1 shows the traceback)"
+    return f"{type(error).__name__}: {error}{_in(words)} ({FULL_ERROR}=1 shows the traceback)"
 
 
 def _in(words: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""Cells that two experiments share, and the differences of their scores: B − A, with intervals over the common seeds.
+"""Differences of the scores of pairs: B − A, with intervals over the common seeds and verdicts.
 
 Where nothing but the run differs, the two cells of a pair are repeats of one training: their spread (of a GPU, whose
 sums have no fixed order) is not the spread over seeds.
@@ -6,40 +6,35 @@ sums have no fixed order) is not the spread over seeds.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from math import nan
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from tdgbench.cells.record import Record
+from tdgbench.compare.causes import MACHINE, Cause, decided_scores
+from tdgbench.compare.pairs import PLACE, ComparedCell, Pairs, Place
 from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.tables import methods
+from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import COLUMNS as OF_TABLES
-from tdgbench.tables.measures import GAUSSIANS, MEASURES, as_text
-from tdgbench.tables.palette import COLUMN, MARK, image_values, palette_notes
-from tdgbench.tables.results import Cell
+from tdgbench.scoring.metric import Measure
+from tdgbench.tables.measures import GAUSSIANS, HOURS, MEASURES, RecordMeasure, as_text
+from tdgbench.tables.palette import IMAGES, MARK, image_values, palette_notes
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED, judge_score, load_margins, seeds_interval
+from tdgbench.text import first_few, one_line
 
 FIRST = (*OF_TABLES, GAUSSIANS.name)  # numbers that are shown first
-IDENTICAL, EQUIVALENT = "identical", "equivalent"
-PLACE = ["dataset", "scene", "method", "init", "variant"]
+IDENTICAL, EQUIVALENT, NOT_COMPARED = "identical", "equivalent", "not compared"
+TWO_PROTOCOLS = "two protocols"  # begins the reason
+ONE_TRAINING = "it is one training, not two"
+SMALLEST = 1e-4  # spread that is printed
 COLUMNS = [
     *PLACE, "metric", "seeds", "of_seeds", "a", "b", "difference", "ci90_low", "ci90_high", "margin", "verdict",
-    "repeat_std", "seed_std", COLUMN,
+    "reason", "repeat_std", "seed_std", IMAGES,
 ]  # fmt: skip
-
-Place = tuple[str, ...]  # values of PLACE
-place_of: Callable[[Record], Place] = attrgetter(*PLACE)
-
-
-class ComparedCell(NamedTuple):
-    a: Cell
-    b: Cell
 
 
 class Difference(NamedTuple):
@@ -50,52 +45,52 @@ class Difference(NamedTuple):
     high: float = nan
 
 
-@dataclass(frozen=True)
-class Pairs:
-    """Pairs by place and seed, and the records of finished cells that only one experiment has."""
-
-    by_place: dict[Place, dict[int, ComparedCell]]
-    only_a: list[Record]
-    only_b: list[Record]
-
-    def __iter__(self) -> Iterator[ComparedCell]:
-        return (pair for seeds in self.by_place.values() for pair in seeds.values())
-
-    def __len__(self) -> int:
-        return sum(len(seeds) for seeds in self.by_place.values())
-
-
-def find_pairs(a: Iterable[Cell], b: Iterable[Cell]) -> Pairs:
-    """Match the finished cells of two experiments."""
-    mine, theirs = ({(place_of(cell.record), cell.record.seed): cell for cell in cells} for cells in (a, b))
-    by_place: dict[Place, dict[int, ComparedCell]] = {}
-    for place, seed in sorted(mine.keys() & theirs.keys()):
-        by_place.setdefault(place, {})[seed] = ComparedCell(mine[place, seed], theirs[place, seed])
-    alone = ([cells[key].record for key in sorted(cells.keys() - others.keys())]
-             for cells, others in ((mine, theirs), (theirs, mine)))  # fmt: skip
-    return Pairs(by_place, *alone)
-
-
-def score_table(pairs: Pairs, are_repeats: bool) -> pd.DataFrame:
-    """Return COLUMNS: a row per place and number that both cells of all its pairs have.
-
-    are_repeats: what is trained and scored is the same in both, so that equal seeds show the spread of a repeat.
+def score_table(pairs: Pairs, causes: Sequence[Cause]) -> pd.DataFrame:
+    """Return COLUMNS: a row per place and number that either cell of its pairs has, and per score with a margin.
 
     seeds, of_seeds: how many and which both have. a, b, difference: means over them. ci90: of the difference, by
     Student; NaN for one seed. verdict: `identical` if every pair has equal numbers; else of the interval against the
     metric's margin, as for published numbers: `equivalent`, `better` or `worse` (B than A), `undecided`; empty without
-    a margin. repeat_std: of one training run again, from the differences of equal seeds; NaN where they are no repeats.
-    seed_std: over the seeds, mean of both. image_values: whether the images of either are in a palette.
+    a margin; `not compared`, for `reason`, where a cell lacks the number, its meaning differs, or both cells are one
+    training and it is no score. repeat_std: of one training run again, from the differences of equal seeds; NaN where
+    they are no repeats: more than the machine differs, or nothing was trained twice. seed_std: over the seeds, mean of
+    both. image_values: whether the images of either are in a palette.
     """
     rows = []
     for place, by_seed in pairs.by_place.items():
         values_of_images, seeds = image_values(cell.record for pair in by_seed.values() for cell in pair), [*by_seed]
+        is_repeat = not any(pair.is_one_training for pair in by_seed.values())
+        is_repeat &= all(cause.kind == MACHINE or place not in cause.places for cause in causes)
         for metric in MEASURES:
             values = np.array([_values(pair, metric) for pair in by_seed.values()])
-            if not np.isnan(values).any():
-                counted = [len(seeds), " ".join(map(str, seeds))]
-                rows.append([*place, metric, *counted, *_compared(metric, values, are_repeats), values_of_images])
+            if np.isnan(values).all() and metric not in load_margins():
+                continue
+            reason = _why_not_compared(metric, place, by_seed, causes)
+            compared = _compared(metric, values, is_repeat, reason)
+            counted = [len(seeds), " ".join(map(str, seeds))]
+            rows.append([*place, metric, *counted, *compared, values_of_images])
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+def _why_not_compared(
+    metric: str, place: Place, by_seed: Mapping[int, ComparedCell], causes: Iterable[Cause]
+) -> str:
+    """Return why a number of A and B is not compared; empty if it is."""
+    lacking: dict[str, dict[int, str]] = {}
+    for seed, pair in by_seed.items():
+        for name, cell in zip("AB", pair, strict=True):
+            value, why = metric_value(cell.record, metric)
+            if np.isnan(value):
+                lacking.setdefault(name, {})[seed] = why
+    if lacking:
+        seeds = {seed: why for of_cell in lacking.values() for seed, why in of_cell.items()}
+        some = "" if len(seeds) == len(by_seed) else f" for seed {first_few(map(str, seeds))}"
+        why = next((one_line(why) for why in seeds.values() if why), "not recorded")
+        return f"{'neither has it' if len(lacking) > 1 else f'{[*lacking][0]} has none'}{some} ({why})"
+    if isinstance(MEASURES[metric], RecordMeasure):
+        return ONE_TRAINING if any(pair.is_one_training for pair in by_seed.values()) else ""
+    unlike = [one for one in causes if place in one.places and metric in decided_scores(one)]
+    return f"{TWO_PROTOCOLS} ({'; '.join(f'{one.name}: {" → ".join(one.values)}' for one in unlike)})" if unlike else ""
 
 
 def _values(pair: ComparedCell, metric: str) -> list[float]:
@@ -110,14 +105,17 @@ def _difference(differences: np.ndarray) -> Difference:
     return Difference(mean, *map(float, seeds_interval(mean, float(differences.std(ddof=1)), seeds)))
 
 
-def _compared(metric: str, values: np.ndarray, are_repeats: bool) -> list[object]:
-    """Return the columns from `a` to `seed_std`. values: (seeds, 2), of A and B."""
+def _compared(metric: str, values: np.ndarray, is_repeat: bool, reason: str) -> list[object]:
+    """Return the columns from `a` to `seed_std`. values: (seeds, 2), of A and B. reason: why they are not compared."""
     differences, margin = values[:, 1] - values[:, 0], load_margins().get(metric, nan)
+    means = values.mean(axis=0).tolist()
+    if reason:
+        return [*means, *Difference(), margin, NOT_COMPARED, reason, nan, nan]
     found = _difference(differences)
     verdict = _verdict(metric, differences, found, margin)
-    repeat = float(np.sqrt((differences**2).mean() / 2)) if are_repeats else nan
+    repeat = float(np.sqrt((differences**2).mean() / 2)) if is_repeat else nan
     over_seeds = float(values.std(axis=0, ddof=1).mean()) if len(values) > 1 else nan
-    return [*values.mean(axis=0).tolist(), *found, margin, verdict, repeat, over_seeds]
+    return [*means, *found, margin, verdict, "", repeat, over_seeds]
 
 
 def _verdict(metric: str, differences: np.ndarray, found: Difference, margin: float) -> str:
@@ -135,64 +133,131 @@ NUMBERS = {"a": "A", "b": "B", "difference": "B − A", "interval": "90 % interv
            "seed_std": "std over seeds"}  # headings  # fmt: skip
 
 
-def comparison_grid(table: pd.DataFrame) -> Grid:
-    """Return the score table as readers see it, without what all rows share. `place` of a row: PLACE and metric."""
-    heads = [name for name in PLACE if name in ("scene", "method") or table[name].nunique() > 1]
-    numbers = [name for name in NUMBERS if name not in table or table[name].notna().any()]
+def legend(table: pd.DataFrame) -> list[str]:
+    """Return what verdicts and spreads of a score table mean, for those that it has."""
+    lines, is_judged = [], table["margin"].notna() & table["ci90_low"].notna() & (table["verdict"] != IDENTICAL)
+    if is_judged.any():
+        lines.append(
+            f"{EQUIVALENT}: the 90 % interval of B − A, over seeds, lies within the margin ({margins_in_words()}); better, "
+            f"worse: wholly outside; {UNDECIDED}: anything else. 90 %: equivalence is two one-sided tests of 5 % each"
+        )
+    spreads = {"repeat_std": "std of a repeat: of a cell trained again with the same seed",
+               "seed_std": "std over seeds: mean of A's and B's"}  # fmt: skip
+    return lines + ["; ".join(text for name, text in spreads.items() if table[name].notna().any())]
+
+
+def place_heads(table: pd.DataFrame) -> list[str]:
+    """Return the columns of PLACE that readers need: scene, method, and what rows differ in."""
+    return [name for name in PLACE if name in ("scene", "method") or table[name].nunique() > 1]
+
+
+def comparison_grid(table: pd.DataFrame, said: Iterable[str] = ()) -> Grid:
+    """Return the score table as readers see it, without what all rows share. `place` of a row: PLACE and metric.
+
+    said: sentences beside it, whose reasons for what is not compared are not repeated below.
+    """
+    heads = place_heads(table)
+    numbers = [name for name in NUMBERS if table["ci90_low" if name == "interval" else name].notna().any()]
     rows = []
     for row in table.to_dict("records"):
         measure, place = MEASURES[row["metric"]], tuple(row[name] for name in PLACE)
         name = measure.label + (f", {measure.images}" if measure.images else "")
-        scene = f"{row['scene']} {MARK}" if row[COLUMN] else row["scene"]
+        scene = f"{row['scene']} {MARK}" if row[IMAGES] else row["scene"]
         shown = {**row, "method": methods.label(row["method"]), "scene": scene}
         verdict = GridCell("", sort=row["verdict"], note=row["verdict"], verdict=row["verdict"])
-        cells = (GridCell(row["of_seeds"], sort=row["seeds"]), *_number_cells(row, numbers), verdict)
+        seeds = GridCell(row["of_seeds"].replace(" ", ", "), sort=row["seeds"])
         names = (*(shown[head] for head in heads), name)
-        rows.append(GridRow(names, cells, (*place, row["metric"]), is_marked=bool(row[COLUMN])))
+        cells = (seeds, *_number_cells(row, numbers), verdict)
+        rows.append(GridRow(names, cells, (*place, row["metric"]), is_marked=bool(row[IMAGES])))
     notes = palette_notes(table.drop(columns="method"))
+    for reason, of_reason in table[table["verdict"] == NOT_COMPARED].groupby("reason", sort=False):
+        if not any(str(reason) in sentence for sentence in said):
+            labels = dict.fromkeys(MEASURES[metric].label for metric in of_reason["metric"])
+            notes.append(f"{NOT_COMPARED}: {', '.join(labels)}: {reason}")
     return Grid([*heads, "score"], ["seeds", *(NUMBERS[name] for name in numbers), "verdict"], rows, notes)
 
 
 def _number_cells(row: Mapping[str, Any], numbers: Sequence[str]) -> list[GridCell]:
     """Return NUMBERS of a row of the score table."""
-    metric, signed = row["metric"], ("difference", "ci90_low", "ci90_high")
-    texts = {name: as_text(metric, row[name]) for name in ("a", "b")}
-    texts |= {name: difference_as_text(metric, row[name]) for name in signed}
-    texts |= {name: difference_as_text(metric, row[name], "") for name in ("repeat_std", "seed_std")}
-    texts["interval"] = "n/a" if texts["ci90_low"] == "n/a" else f"{texts['ci90_low']} to {texts['ci90_high']}"
+    metric = row["metric"]
+    texts = {name: "n/a" if np.isnan(row[name]) else as_text(metric, row[name]) for name in ("a", "b")}
+    texts["difference"] = difference_as_text(metric, row["difference"])
+    texts["interval"] = interval_as_text(metric, row["ci90_low"], row["ci90_high"])
+    texts |= {name: spread_as_text(metric, row[name]) for name in ("repeat_std", "seed_std")}
     values = {**row, "interval": row["ci90_low"]}
     return [GridCell(texts[name], sort="" if np.isnan(values[name]) else values[name]) for name in numbers]
 
 
-def difference_as_text(metric: str, value: float, sign: str = "+") -> str:
-    """Return a difference or a spread with three digits, and a count as one; n/a for NaN.
+def difference_as_text(metric: str, value: float) -> str:
+    """Return a difference with three digits, and a count as one; n/a for NaN.
 
-    >>> difference_as_text("psnr", -6.0), difference_as_text("gaussians", 263.7, ""), difference_as_text("ssim", 1e-6)
-    ('-6.00', '264', '+1.00e-06')
+    Below a unit of the last digit with which the metric is printed, it is that unit.
+
+    >>> [difference_as_text("psnr", value) for value in (-6.0, -6e-6, 0.0)], difference_as_text("gaussians", 263.7)
+    (['-6.00', 'within ±0.01', '0'], '+264')
     """
-    is_count = not MEASURES[metric].digits or abs(value) >= 100
-    return "n/a" if np.isnan(value) else as_text(metric, value, form=f"{sign}.0f" if is_count else f"{sign}#.3g")
+    digits = MEASURES[metric].digits
+    if np.isnan(value) or value == 0:
+        return "n/a" if np.isnan(value) else "0"
+    if metric != HOURS.name and abs(value) < 10.0**-digits:
+        return f"within ±{10.0**-digits:.{digits}f}"
+    return as_text(metric, value, form="+.0f" if not digits or abs(value) >= 100 else "+#.3g")
+
+
+def interval_as_text(metric: str, low: float, high: float) -> str:
+    """Return an interval as text; where one end alone is below a unit, with its sign and a digit more.
+
+    >>> interval_as_text("psnr", -0.001, 0.002), interval_as_text("psnr", -0.001, 2.0)
+    ('within ±0.01', '-0.001 to +2.00')
+    """
+    ends = [difference_as_text(metric, end) for end in (low, high)]
+    if ends[0] == ends[1]:
+        return ends[0]
+    form = f"+.{MEASURES[metric].digits + 1}f"
+    return " to ".join(f"{end:{form}}" if "±" in text else text for text, end in zip(ends, (low, high), strict=True))
+
+
+def spread_as_text(metric: str, value: float) -> str:
+    """Return a standard deviation with three digits, and of a count as one; n/a for NaN.
+
+    >>> spread_as_text("psnr", 0.0723), spread_as_text("ssim", 1e-6)
+    ('0.0723', '< 0.0001')
+    """
+    if metric != HOURS.name and 0 < value < SMALLEST:
+        return f"< {SMALLEST}"
+    is_count = not MEASURES[metric].digits or value >= 100
+    return "n/a" if np.isnan(value) else as_text(metric, value, form=".0f" if is_count else "#.3g")
 
 
 def verdicts(table: pd.DataFrame, pairs: Pairs) -> list[str]:
     """Return a sentence on each metric with a margin: verdicts of the score table of pairs, and B − A on average over
     the places, by the seeds that all places have, with its interval if there is one.
     """
-    sentences = []
-    for metric, group in table[table["margin"].notna()].groupby("metric", sort=False):
-        words = ", ".join(f"{number} {word}" for word, number in group["verdict"].value_counts().items())
-        text, measure = f"{MEASURES[str(metric)].label}: {words}", MEASURES[str(metric)]
-        if (group["verdict"] != IDENTICAL).any():
-            by_place = [pairs.by_place[place] for place in group[PLACE].itertuples(index=False, name=None)]
-            common = sorted(set.intersection(*map(set, by_place)))
-            values = np.array([[_values(by_seed[seed], measure.name) for seed in common] for by_seed in by_place])
-            found = _difference(np.diff(values).mean(axis=(0, 2))) if common else Difference(group["difference"].mean())
-            mean, low, high = (difference_as_text(measure.name, value) for value in found)
-            text += f"; B − A {mean}{measure.suffix}{f' on average of {len(group)}' if len(group) > 1 else ''}"
-            if low == "n/a":
-                text += ", by one seed, which shows no difference"
-            else:
-                zero = ", which contains zero" if found.low <= 0 <= found.high else ""
-                text += f", 90 % interval {low} to {high}{zero}"
-        sentences.append(text)
-    return sentences
+    judged = table[table["margin"].notna()]
+    reasons = judged["reason"].unique()
+    if len(reasons) == 1 and reasons[0]:
+        return [f"no score is compared: {reasons[0]}"]
+    places = f"({', '.join(place_heads(table))})"
+    return [_verdicts_of(MEASURES[str(metric)], group, pairs, places) for metric, group in judged.groupby("metric", sort=False)]
+
+
+def _verdicts_of(measure: Measure, group: pd.DataFrame, pairs: Pairs, places: str) -> str:
+    """Return the sentence on a metric. group: its rows. places: what rows are of, in words."""
+    counts, several = group["verdict"].value_counts(), len(group) > 1
+    words = ", ".join(f"{word} on {number}" if several else str(word) for word, number in counts.items())
+    text = f"{measure.label}: {words}{f' of {len(group)} {places}' if several else ''}"
+    reasons = [reason for reason in group["reason"].unique() if reason]
+    compared = group[group["verdict"] != NOT_COMPARED]
+    if not (compared["verdict"] == IDENTICAL).all():
+        by_place = [pairs.by_place[place] for place in compared[PLACE].itertuples(index=False, name=None)]
+        common = sorted(set.intersection(*map(set, by_place)))
+        values = np.array([[_values(by_seed[seed], measure.name) for seed in common] for by_seed in by_place])
+        found = _difference(np.diff(values).mean(axis=(0, 2))) if common else Difference(compared["difference"].mean())
+        text += f"; B − A {difference_as_text(measure.name, found.mean)}{measure.suffix}"
+        text += " on average" if len(compared) > 1 else ""
+        if np.isnan(found.low):
+            text += ", by one seed, which shows no difference"
+        else:
+            zero = ", which contains zero" if found.low <= 0 <= found.high else ""
+            text += f", 90 % interval {interval_as_text(measure.name, found.low, found.high)}{zero}"
+    return "; ".join([text, *reasons])

@@ -34,7 +34,7 @@ from tdgbench.experiments.matrix import (
 from tdgbench.tables.claims.cell_pairs import gain_interval
 from tdgbench.tables.claims.evidence import UNDECIDED
 from tdgbench.tables.measures import MEASURES
-from tdgbench.tables.palette import COLUMN
+from tdgbench.tables.palette import IMAGES
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 
@@ -181,7 +181,7 @@ def _of_group(group: pd.DataFrame, there: pd.DataFrame, first: str) -> dict[str,
     gain, half = row["psnr_gain"], row["psnr_gain_half"]
     decided = UNDECIDED if not abs(gain) > half else "better" if gain > 0 else "worse"
     row["verdict"] = "" if is_first else decided if len(pairs) else UNEQUAL
-    return {**row, COLUMN: group[COLUMN].iloc[0]}
+    return {**row, IMAGES: group[IMAGES].iloc[0]}
 
 
 def _mean(name: str, scenes: pd.Series, values: pd.Series) -> dict[str, float]:
@@ -212,7 +212,7 @@ def over_seeds_of_times(times: pd.DataFrame) -> pd.DataFrame:
             {
                 **dict(zip(("scene", "label", "after"), names, strict=True)),
                 **{k: v for metric in QUALITY for k, v in _mean(metric, group["scene"], group[metric]).items()},
-                "seeds": len(group), "ended": int(group["ended"].sum()), COLUMN: group[COLUMN].iloc[0],
+                "seeds": len(group), "ended": int(group["ended"].sum()), IMAGES: group[IMAGES].iloc[0],
             }
             for names, group in times.groupby(["scene", "label", "after"], sort=False)
         ]

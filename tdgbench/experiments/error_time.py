@@ -30,7 +30,7 @@ from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.claims.quantities import first_at
-from tdgbench.tables.palette import COLUMN, image_values
+from tdgbench.tables.palette import IMAGES, image_values
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 from tdgbench.training.budget import Budget
@@ -84,7 +84,7 @@ class ErrorTime(Experiment):
             savings = faster_by(curves, first, others)
             write_tables(folder, {"curves": curves, "faster": savings})
             shown = {
-                name: (name, "{}" if name in ("scene", "label") else "{:.3g}") for name in savings if name != COLUMN
+                name: (name, "{}" if name in ("scene", "label") else "{:.3g}") for name in savings if name != IMAGES
             }
             show_table(format_columns(savings, shown), f"time saved against {first}")
             draw_curves(curves, folder / "curves.png")
@@ -148,7 +148,7 @@ def sample_all(cfg: DictConfig) -> tuple[pd.DataFrame, int]:
             end = curve.iloc[-1]
             reached = f"{end.psnr:.2f} dB after {end.iteration} iterations and {end.seconds:.1f} s"
             say(f"{end.scene}, {run.label}: {reached}")
-    columns = ["scene", "label", "iteration", "seconds", "processor_seconds", "gaussians", *CURVE_METRICS, COLUMN]
+    columns = ["scene", "label", "iteration", "seconds", "processor_seconds", "gaussians", *CURVE_METRICS, IMAGES]
     return (pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(columns=columns)), failed
 
 
@@ -183,7 +183,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: SampledRun, sampl
                 "processor_seconds": log.processor_seconds,
                 "gaussians": sum(len(model) for model in trainer.gaussians.values()),
                 **{m: scores[m] for m in CURVE_METRICS},
-                COLUMN: values,
+                IMAGES: values,
             }
         )
 
@@ -233,7 +233,7 @@ def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.Data
                     "equal quality": 1 - reached[0] / reached[1],
                     "that quality (dB)": quality,
                     "dB more at equal time": there[0] - there[1],
-                    COLUMN: group[COLUMN].iloc[0],
+                    IMAGES: group[IMAGES].iloc[0],
                 }
             )
     return pd.DataFrame(rows)
@@ -251,7 +251,7 @@ def best_after(curves: pd.DataFrame, times: Sequence[float]) -> pd.DataFrame:
             best = {"psnr": so_far["psnr"].max(), "ssim": so_far["ssim"].max(), "lpips": so_far["lpips"].min()}
             ended = float(curve["seconds"].iloc[-1]) <= seconds
             place = dict(zip(("scene", "seed", "label"), names, strict=True))
-            rows.append({**place, "after": seconds, **best, "ended": ended, COLUMN: curve[COLUMN].iloc[0]})
+            rows.append({**place, "after": seconds, **best, "ended": ended, IMAGES: curve[IMAGES].iloc[0]})
     return pd.DataFrame(rows)
 
 

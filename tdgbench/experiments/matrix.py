@@ -19,7 +19,7 @@ from tdgbench.cells.record import Record
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.files import write_text
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.tables.palette import COLUMN, image_values
+from tdgbench.tables.palette import IMAGES, image_values
 from tdgbench.terminal import console, say
 
 
@@ -155,7 +155,7 @@ def table_of(cells: Iterable[MatrixCell], numbers: Callable[[Record], Mapping[st
     """Return one row per finished cell: a column per axis, the numbers, `image_values`."""
     return pd.DataFrame(
         [
-            {**cell.labels, "scene": one.scene, **numbers(one), COLUMN: image_values([one])}
+            {**cell.labels, "scene": one.scene, **numbers(one), IMAGES: image_values([one])}
             for cell in cells
             if (one := cell.record) is not None
         ]

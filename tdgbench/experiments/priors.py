@@ -18,7 +18,7 @@ from tdgbench.cells.paths import prior_cache
 from tdgbench.experiments.matrix import Axes, AxisValue, Matrix, MatrixCell, MatrixOptions, groups_of, values_of
 from tdgbench.experiments.prior_accuracy import Accuracy, PriorErrors, measure_prior, source
 from tdgbench.splats.cpu import pool
-from tdgbench.tables.palette import COLUMN
+from tdgbench.tables.palette import IMAGES
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 
@@ -122,7 +122,7 @@ class Priors(Matrix):
                         **scores.mean(skipna=False),
                         "psnr_gain": np.nan if prior == NONE else (scores["psnr"] - without["psnr"]).mean(),
                         "reason": error.reason or failed,
-                        COLUMN: self.image_values(of_prior),
+                        IMAGES: self.image_values(of_prior),
                     }
                 )
                 views += [{**place, "view": view, **accuracy._asdict()} for view, accuracy in error.views.items()]

@@ -24,7 +24,7 @@ from tdgbench.experiments.matrix import (
     table_of,
     values_of,
 )
-from tdgbench.tables.palette import COLUMN
+from tdgbench.tables.palette import IMAGES
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.training.budget import SKIP_RULES as RULES
 from tdgbench.training.skips import SWITCHES
@@ -74,7 +74,7 @@ class SkipAblation(Matrix):
         rows = with_changes(table_of(cells, numbers))
         if rows.empty:
             return {}
-        table = summary(rows, list(cfg.study.skips)).assign(**{COLUMN: self.image_values(cells)})
+        table = summary(rows, list(cfg.study.skips)).assign(**{IMAGES: self.image_values(cells)})
         return {"skips": table, "skips_cells": rows}
 
     def show(self, table: pd.DataFrame) -> None:
@@ -125,7 +125,7 @@ def with_changes(table: pd.DataFrame) -> pd.DataFrame:
     places = list(zip(table["scene"], table["seed"], strict=True))
     against = base.reindex(places)[list(QUALITY)].apply(pd.to_numeric)
     changes = {f"change of {m}": pd.to_numeric(table[m]) - against[m].to_numpy() for m in QUALITY}
-    return table.drop(columns=COLUMN).assign(**changes, **{COLUMN: table[COLUMN]})  # the last one, as in all tables
+    return table.drop(columns=IMAGES).assign(**changes, **{IMAGES: table[IMAGES]})  # the last one, as in all tables
 
 
 def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:

@@ -19,7 +19,7 @@ from tdgbench.experiments.matrix import Axes, Matrix, MatrixCell, MatrixOptions,
 from tdgbench.scenes.synthetic.capture import CameraTruth
 from tdgbench.scenes.synthetic.drifting import DriftingDataset
 from tdgbench.tables.long_table import metric_value
-from tdgbench.tables.palette import COLUMN
+from tdgbench.tables.palette import IMAGES
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.thermal.camera import ViewResponses, normalized, normalized_truth
 from tdgbench.thermal.maps import TERMS, evaluate
@@ -178,9 +178,9 @@ def summary(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> pd.Dat
     """
     cells = cells.assign(recovered=_recovered(cells, clean, ideal))
     groups = cells.groupby(_PLACE, sort=False)
-    means = groups[[name for name in cells.columns if name not in (*_PLACE, "seed", "notes", COLUMN)]].mean()
+    means = groups[[name for name in cells.columns if name not in (*_PLACE, "seed", "notes", IMAGES)]].mean()
     means.insert(0, "seeds", groups["seed"].nunique())
-    return means.assign(**{f"{JUDGED}_sem": groups[JUDGED].sem(), COLUMN: groups[COLUMN].first()}).reset_index()
+    return means.assign(**{f"{JUDGED}_sem": groups[JUDGED].sem(), IMAGES: groups[IMAGES].first()}).reset_index()
 
 
 def _recovered(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> list[float]:

@@ -22,7 +22,7 @@ from tdgbench.tables.build import Tables
 from tdgbench.tables.grids import further_grid, reasons_for_na
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import MEASURES, PUBLISHED, digits
+from tdgbench.tables.measures import MAIN_COLUMNS, MEASURES, digits
 from tdgbench.tables.palette import palette_notes
 from tdgbench.tables.readings import changes_as_text
 from tdgbench.tables.results import Cell, Results
@@ -132,7 +132,7 @@ def published_section(tables: Tables) -> dict[str, Any] | None:
 
 def _papers(papers: pd.DataFrame) -> dict[str, Any]:
     """Return heads, rows of text and notes of the table of papers: per scene, each score as printed, and the spread."""
-    metrics = [metric for metric in PUBLISHED if metric in set(papers["metric"])]
+    metrics = [metric for metric in MAIN_COLUMNS if metric in set(papers["metric"])]
     rows = []
     for (method, dataset, scene), group in papers.groupby(["method", "dataset", "scene"], sort=False):
         printed = {row.metric: [row.values, f"{row.spread:.{digits(row.metric)}f}"] for row in group.itertuples()}

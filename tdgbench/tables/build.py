@@ -28,8 +28,8 @@ from tdgbench.tables.grids import ABLATION_KEYS, ablation_grid, main_grid
 from tdgbench.tables.latex import ablation_table, main_table
 from tdgbench.tables.likeness import Trainings, times_at_once
 from tdgbench.tables.long_table import cell_rows, method_label, scene_rows, with_averages, with_protocols
-from tdgbench.tables.measures import ABLATION, AVERAGE, COLUMNS, EXTRA, KEYS, OVERALL
-from tdgbench.tables.palette import COLUMN, with_image_values
+from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, EXTRA, KEYS, OVERALL
+from tdgbench.tables.palette import IMAGES, with_image_values
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
 from tdgbench.tables.results import Results, read_results
@@ -37,9 +37,9 @@ from tdgbench.tables.statistics import intervals, with_seeds
 from tdgbench.tables.verdicts import against_published
 
 INITS = ("random", "colmap")  # of the paper's Table 2
-MAIN_COLUMNS = [
+CSV_COLUMNS = [
     *KEYS, "value", "bold", "reason", "seeds", "std", "ci95_low", "ci95_high", "split", "protocol", "range_degC",
-    "training", COLUMN,
+    "training", IMAGES,
 ]  # fmt: skip
 COLUMN_OF = partial(method_label, with_init=True)
 
@@ -109,12 +109,13 @@ def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:
     A record that cannot be read gives n/a with the reason, and is one of the results' `problems`; so is a mean of
     unlike trainings. Raises ValueError for an empty folder, naming it, and for columns that no table has.
     """
-    for known in (measures, methods):  # of the folder that was read before
-        known.forget_own()
+    measures.forget_own()  # of the folder that was read before
+    methods.forget_own()
     results = read_results(experiment)  # whose own metrics are columns, too
-    unknown = [name for name in options.columns if name not in (*COLUMNS, *EXTRA)]
+    known = *COLUMNS, *EXTRA, *ASKED
+    unknown = [name for name in options.columns if name not in known]
     if unknown:
-        raise ValueError(f"no column {', '.join(unknown)}; known are {', '.join((*COLUMNS, *EXTRA))}")
+        raise ValueError(f"no column {', '.join(unknown)}; known are {', '.join(known)}")
     tables = _ablation(results, options) if results.plan.table == "ablation" else _main(results, options)
     _write(tables)
     return tables
@@ -123,13 +124,13 @@ def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:
 def _main(results: Results, options: TableOptions) -> Tables:
     """Build the main table and what goes with it; with table=readings, those of the readings as well."""
     records = results.records
-    cells = cell_rows(records, results.plan)
+    cells = cell_rows(records, results.plan, asked=[name for name in ASKED if name in options.columns])
     main, by_seed = with_seeds(with_protocols(with_averages(scene_rows(cells)), records), cells)
     main = main.merge(intervals(results.finished), on=KEYS, how="left")
     main, notes, problems = Trainings(records, COLUMN_OF, options.is_ranking_unlike).set_apart(main)
     finished = [cell.record for cell in results.finished]
     equal = equal_scenes(finished)
-    main = with_bold(with_image_values(main, records, COLUMN_OF), by_seed, ["dataset", "scene"])[MAIN_COLUMNS]
+    main = with_bold(with_image_values(main, records, COLUMN_OF), by_seed, ["dataset", "scene"])[CSV_COLUMNS]
     comparisons = compare_methods(cells, main, results.finished, equal)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     difference = against_published(main, published_main(), KEYS) if of_paper else None

@@ -16,9 +16,9 @@ import pandas as pd
 from tdgbench.tables import methods
 from tdgbench.tables.equal_data import Place
 from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, MEASURES, OVERALL, PUBLISHED, TRAINING, gain, half_unit
+from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, MAIN_COLUMNS, MEASURES, OVERALL, TRAINING, gain, half_unit
 from tdgbench.tables.methods import MethodPair
-from tdgbench.tables.palette import COLUMN, values_over_scenes
+from tdgbench.tables.palette import IMAGES, values_over_scenes
 from tdgbench.tables.results import Cell
 from tdgbench.tables.statistics import mean_interval, seed_values
 from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE, load_margins
@@ -136,7 +136,7 @@ def compare_methods(
     """
     once = [place not in equal for place in zip(cells["dataset"], cells["scene"], strict=True)]
     counted = cells[np.array(once, dtype=bool) & ~cells["metric"].isin(TRAINING)]
-    scored = main.loc[main["metric"].isin(PUBLISHED) & main["value"].notna(), "method"].unique()
+    scored = main.loc[main["metric"].isin(MAIN_COLUMNS) & main["value"].notna(), "method"].unique()
     # a baseline without scores is compared with only where no pair has them, to say why
     pairs = methods.baselines(scored) or methods.baselines(main["method"].unique())
     return [_compare(pair, counted, main, finished) for pair in pairs]
@@ -160,7 +160,7 @@ def _unlike(pair: MethodPair, main: pd.DataFrame, finished: Sequence[Cell]) -> s
     """Return (data set, scene) of unlike trainings, and (data set, scene, seed) whose times are of two machines."""
     unlike: set[tuple[object, ...]] = set()
     if "training" in main:
-        scores = main[main["method"].isin(pair) & (main["metric"] == PUBLISHED[0])]
+        scores = main[main["method"].isin(pair) & (main["metric"] == MAIN_COLUMNS[0])]
         kinds = scores.groupby(["dataset", "scene"])["training"].nunique()
         unlike |= set(kinds.index[kinds > 1])
     machines: dict[tuple[object, ...], set[tuple[str, ...]]] = {}
@@ -189,7 +189,7 @@ def paired_tests(changes: pd.DataFrame, main: pd.DataFrame) -> pd.DataFrame:
         counts = [int((known["verdict"] == word).sum()) for word in (BETTER, WORSE, UNDECIDED)]
         compared = main[(main["metric"] == metric) & main["scene"].isin(known["scene"]) & main["value"].notna()]
         rows.append([metric, len(known), *counts, p, values_over_scenes(compared)])
-    return pd.DataFrame(rows, columns=["metric", "scenes", BETTER, WORSE, UNDECIDED, "p", COLUMN])
+    return pd.DataFrame(rows, columns=["metric", "scenes", BETTER, WORSE, UNDECIDED, "p", IMAGES])
 
 
 def comparison_tables(comparisons: Iterable[MethodComparison]) -> dict[str, pd.DataFrame]:

@@ -17,17 +17,16 @@ from tdgbench.tables.claims.evidence import FAILS, HOLDS, THE_PAPER, JudgedClaim
 from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.comparisons import MethodComparison, margin_of
 from tdgbench.tables.equal_data import Place, equal_data_notes
-from tdgbench.tables.likeness import COLUMN as TRAINING_KIND
-from tdgbench.tables.likeness import times_at_once
+from tdgbench.tables.likeness import TRAINING_KIND, times_at_once
 from tdgbench.tables.long_table import NO_RECORD, method_label
 from tdgbench.tables.measures import (
     ABLATION,
     AVERAGE,
     HOURS,
+    MAIN_COLUMNS,
+    MAIN_SCORES,
     MEASURES,
     OVERALL,
-    PUBLISHED,
-    PUBLISHED_SCORES,
     as_text,
     digits,
 )
@@ -137,11 +136,11 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
     """Compare a method with its baseline: on how many scenes it is better, and by how much on the widest average."""
     pair, changes, paired = comparison
     title = " against ".join(_title(column, records) for column in pair)
-    both = main[main["method"].isin(pair) & main["metric"].isin(PUBLISHED)]
-    rows = changes[changes["metric"].isin(PUBLISHED) & changes["change"].notna() & changes["scene"].isin(both["scene"])]
+    both = main[main["method"].isin(pair) & main["metric"].isin(MAIN_COLUMNS)]
+    rows = changes[changes["metric"].isin(MAIN_COLUMNS) & changes["scene"].isin(both["scene"])].dropna(subset="change")
     scenes = rows[~_is_average(rows)]
     if scenes.empty:
-        kinds = both.loc[both["metric"] == PUBLISHED[0], TRAINING_KIND].unique()
+        kinds = both.loc[both["metric"] == MAIN_COLUMNS[0], TRAINING_KIND].unique()
         unlike = f"trainings differ ({' / '.join(kinds)})"
         yield f"{title}: not compared: {_why_not(both, unlike if len(kinds) > 1 else 'no scene has results of both')}"
         return
@@ -190,7 +189,7 @@ def _has_true_prior(record: Record) -> bool:
 def _counts(paired: pd.DataFrame) -> str:
     """Return on how many scenes a method is better, worse and undecided, by metric, with p. paired: `paired_tests`."""
     parts = []
-    for row in paired[paired["metric"].isin(PUBLISHED)].itertuples():
+    for row in paired[paired["metric"].isin(MAIN_COLUMNS)].itertuples():
         words = [f"{word} on {n}" for word in (BETTER, WORSE, UNDECIDED) if (n := getattr(row, word))]
         parts += [f"{MEASURES[row.metric].label} {', '.join(words)}{_p(row.p)}"] if words else []
     return "; ".join(parts)
@@ -239,7 +238,7 @@ def _is_average(rows: pd.DataFrame) -> pd.Series:
 def _alone(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     """Yield the scores of each method, where nothing is compared."""
     for column, rows in main.groupby("method", sort=False):
-        known = widest_average(rows[rows["metric"].isin(PUBLISHED)]).dropna(subset="value")
+        known = widest_average(rows[rows["metric"].isin(MAIN_COLUMNS)]).dropna(subset="value")
         parts = [f"{MEASURES[r.metric].label} {as_text(r.metric, r.value, r.scene)}" for r in known.itertuples()]
         scenes = list(dict.fromkeys(rows.loc[~_is_average(rows), "scene"]))
         where = scenes[0] if len(scenes) == 1 else f"average over {len(scenes)} scenes"
@@ -252,7 +251,7 @@ def _ablation(main: pd.DataFrame) -> Iterable[str]:
     """Yield each method's scores by initial points, and which are best as far as seeds tell. main: an ablation."""
     for method, group in main.groupby("method", sort=False):
         parts = []
-        for metric in (metric for metric in ABLATION if metric in PUBLISHED_SCORES):
+        for metric in (metric for metric in ABLATION if metric in MAIN_SCORES):
             values = group[group["metric"] == metric].dropna(subset="value").sort_values("value", ascending=False)
             best = "" if not values["bold"].any() else " (best)" if values["bold"].sum() == 1 else " (among the best)"
             if len(values):
@@ -266,7 +265,7 @@ def _ablation(main: pd.DataFrame) -> Iterable[str]:
 
 def _effects(effects: pd.DataFrame) -> Iterable[str]:
     """Yield the changes that raise or lower the first published score. effects: from `readings.effects`."""
-    metric = PUBLISHED_SCORES[0]
+    metric = MAIN_SCORES[0]
     rows = with_setup(widest_average(effects), "effect")
     rows = rows[rows["metric"] == metric]
     label = MEASURES[metric].change

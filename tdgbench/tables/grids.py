@@ -20,9 +20,9 @@ from tdgbench.tables.measures import (
     COLUMNS,
     EXTRA,
     HOURS,
+    MAIN_COLUMNS,
     MEASURES,
     OVERALL,
-    PUBLISHED,
     as_text,
     digits,
 )
@@ -62,7 +62,7 @@ def main_grid(
 
 def _usual_columns(main: pd.DataFrame) -> tuple[str, ...]:
     in_degC = (main["value"].notna() & (main["metric"] == ERROR)).any()
-    beside = {PUBLISHED[0]: (ERROR, RANGE)} if in_degC else {}
+    beside = {MAIN_COLUMNS[0]: (ERROR, RANGE)} if in_degC else {}
     return tuple(one for name in COLUMNS for one in (name, *beside.get(name, ())))
 
 

@@ -16,7 +16,7 @@ from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
 from tdgbench.tables.grids import ERROR
 from tdgbench.tables.long_table import RANGE, initial_points, protocol_notes
-from tdgbench.tables.measures import ABLATION, ABLATION_PAIRS, AVERAGE, HOURS, MEASURES, OVERALL, PUBLISHED, digits
+from tdgbench.tables.measures import ABLATION, ABLATION_PAIRS, AVERAGE, HOURS, MAIN_COLUMNS, MEASURES, OVERALL, digits
 from tdgbench.tables.palette import MARK
 from tdgbench.text import one_line
 
@@ -83,7 +83,7 @@ def main_table(main: pd.DataFrame, grid: Grid, columns: Sequence[str] = ()) -> s
     grid: `main_grid` of the main table. columns: measures; by default those of the paper, and the error in °C beside
     PSNR where the grid has it.
     """
-    measures = [name for name in grid.names if name in (columns or (*PUBLISHED, ERROR))]
+    measures = [name for name in grid.names if name in (columns or (*MAIN_COLUMNS, ERROR))]
     labels = list(dict.fromkeys(row.place[2] for row in grid.rows))
     at, width = [grid.names.index(name) for name in measures], 1 + len(labels) * len(measures)
     unit = _time_unit([cell for row in grid.rows for name, cell in zip(grid.names, row.cells, strict=True)

@@ -21,7 +21,7 @@ from tdgbench.tables import methods
 from tdgbench.tables.measures import AVERAGE, HOURS, OVERALL
 from tdgbench.text import as_typed, named
 
-COLUMN = "training"  # of main.csv: in what a row's training differs from others of its scene; empty if in nothing
+TRAINING_KIND = "training"  # column of main.csv: in what a row's training differs from others of its scene; or empty
 GROUPS = ("budget", "prior", "skip", "thermal_camera")  # of options, that all methods share
 OF_A_COLUMN = ("method.", "init.")  # options that agree within a column
 OF_A_SCENE = ("scene's files", "image size", "range, °C")  # may differ between the scenes of an average
@@ -76,7 +76,7 @@ class Trainings:
         return self._found[place]
 
     def set_apart(self, table: pd.DataFrame) -> tuple[pd.DataFrame, list[str], list[str]]:
-        """Return a main table with COLUMN, notes on differences, and problems: numbers that are n/a.
+        """Return a main table with TRAINING_KIND, notes on differences, and problems: numbers that are n/a.
 
         Those of unlike trainings in one column are, with the reason.
         """
@@ -91,7 +91,7 @@ class Trainings:
             if mixed:
                 what = "its scenes or seeds" if scene in (AVERAGE, OVERALL) else "its seeds"
                 reasons[column, dataset, scene, timed] = f"{what} {UNLIKE} ({'; '.join(mixed)})"
-        table = table.assign(**{COLUMN: [texts.get(place, "") for place in places]})
+        table = table.assign(**{TRAINING_KIND: [texts.get(place, "") for place in places]})
         unlike = pd.Series([reasons.get(place, "") for place in places], table.index, dtype=str)
         is_mixed = (unlike != "") & table["value"].notna()
         numbers = [name for name in ("value", "std", "ci95_low", "ci95_high") if name in table]

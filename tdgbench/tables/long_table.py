@@ -43,7 +43,8 @@ def metric_value(record: Record, metric: str) -> tuple[float, str]:
         return np.nan, record.why_failed
     described = MEASURES[metric]
     if isinstance(described, RecordMeasure):
-        return described.of_record(record), record.missing.get(metric, "")
+        number = described.of_record(record)
+        return number, record.missing.get(metric, "not recorded" if np.isnan(number) else "")
     if metric in TRAINING:
         value = record.train_scores.get(metric.removeprefix("train_"))
     else:
@@ -57,10 +58,12 @@ def planned_iterations(record: Record) -> int:
     return planned if isinstance(planned, int) and record.made_elsewhere is None else record.iterations
 
 
-def cell_rows(records: Iterable[Record], plan: Plan, init: str | None = None) -> pd.DataFrame:
+def cell_rows(
+    records: Iterable[Record], plan: Plan, init: str | None = None, asked: Iterable[str] = ()
+) -> pd.DataFrame:
     """Return rows (KEYS, seed, value, reason) of every method × scene × metric × record; n/a where there is no record.
 
-    With `init` only its records count, and inits do not make columns.
+    With `init` only its records count, and inits do not make columns. asked: further metrics.
     """
     by_place: dict[tuple[str, str, str], list[Record]] = {}
     chosen = [r for r in records if init in (None, r.init)]
@@ -75,7 +78,7 @@ def cell_rows(records: Iterable[Record], plan: Plan, init: str | None = None) ->
     for method in sorted({*labels, *without_records}, key=methods.rank):
         for scene in scenes:
             found = by_place.get((method, scene.dataset, scene.scene), [])
-            for metric in (*COLUMNS, *EXTRA):
+            for metric in (*COLUMNS, *EXTRA, *asked):
                 key = [method, scene.dataset, scene.group, scene.scene, metric]
                 numbers = [[r.seed, *metric_value(r, metric)] for r in found] or [[np.nan, np.nan, NO_RECORD]]
                 rows += [[*key, *number] for number in numbers]

@@ -52,11 +52,12 @@ MEASURES: dict[str, Measure] = {m.name: m for m in (*METRICS.values(), HOURS, *_
 
 _BUILT_IN = frozenset(MEASURES)  # `learn` adds those of users
 
-PUBLISHED_SCORES = tuple(name for name, metric in METRICS.items() if metric.in_main_table)
-PUBLISHED = (*PUBLISHED_SCORES, *(m.name for m in OF_RECORDS if m.in_main_table))  # columns of the main table
+MAIN_SCORES = tuple(name for name, metric in METRICS.items() if metric.in_main_table)
+MAIN_COLUMNS = (*MAIN_SCORES, *(m.name for m in OF_RECORDS if m.in_main_table))  # columns of the main table
 TRAINING = [measure.name for measure in _TRAIN]  # of the training views, where overfitting shows
-_BESIDE = {name: [other for other, metric in METRICS.items() if metric.beside == name] for name in PUBLISHED}
+_BESIDE = {name: [other for other, metric in METRICS.items() if metric.beside == name] for name in MAIN_COLUMNS}
 COLUMNS = tuple(one for name, more in _BESIDE.items() for one in (name, *more))  # where tables are read
+ASKED = tuple(measure.name for measure in OF_RECORDS if not measure.in_main_table)  # columns where they are asked for
 EXTRA = [*(name for name in METRICS if name not in COLUMNS), *TRAINING]
 _OF_MODELS = tuple(tuple(metric_name(name, modality) for name in ("psnr", "ssim")) for modality in OTHERS)
 ABLATION_PAIRS = (("psnr", "ssim"), ("train_psnr", "train_ssim"), *_OF_MODELS)  # columns of Table 2

@@ -14,7 +14,7 @@ import pandas as pd
 from tdgbench.cells.record import Record
 from tdgbench.tables.measures import AVERAGE, OVERALL
 
-COLUMN = "image_values"
+IMAGES = "image_values"
 WORDS = "palette, not temperature"
 IN_SOME = f"{WORDS}, in some scenes"  # of an average
 MARK = "†"
@@ -37,11 +37,11 @@ def image_values(records: Iterable[Record]) -> str:
 def with_image_values(
     table: pd.DataFrame, records: Iterable[Record], method: Callable[[Record], str] = attrgetter("method")
 ) -> pd.DataFrame:
-    """Return the table with COLUMN: what the images of the finished cells behind each row show.
+    """Return the table with IMAGES: what the images of the finished cells behind each row show.
 
     method: the text of a cell in the column `method`.
     """
-    return with_text_of_cells(table, records, {COLUMN: image_values}, method)
+    return with_text_of_cells(table, records, {IMAGES: image_values}, method)
 
 
 def with_text_of_cells(
@@ -76,14 +76,14 @@ def with_text_of_cells(
 
 def is_marked(rows: pd.DataFrame) -> bool:
     """Return whether any of the rows is of images in a palette."""
-    return COLUMN in rows and bool(rows[COLUMN].any())
+    return IMAGES in rows and bool(rows[IMAGES].any())
 
 
 def values_over_scenes(rows: pd.DataFrame) -> str:
     """Return `image_values` of a number over the scenes of these rows."""
     if not is_marked(rows):
         return ""
-    by_scene = (rows[COLUMN] != "").groupby([rows["dataset"], rows["scene"]]).any()
+    by_scene = (rows[IMAGES] != "").groupby([rows["dataset"], rows["scene"]]).any()
     return WORDS if by_scene.all() else IN_SOME
 
 
@@ -99,13 +99,13 @@ def palette_notes(table: pd.DataFrame) -> list[str]:
     """
     if not is_marked(table):
         return []
-    marked = table[table[COLUMN] != ""]
+    marked = table[table[IMAGES] != ""]
     if "scene" not in table:
-        return [f"{MARK} {IN_SOME if (marked[COLUMN] == IN_SOME).any() else WORDS}"]
+        return [f"{MARK} {IN_SOME if (marked[IMAGES] == IN_SOME).any() else WORDS}"]
     is_average = table["scene"].isin((AVERAGE, OVERALL))
-    inside, partly, alone = table[(table[COLUMN] != "") & ~is_average], marked[marked[COLUMN] == IN_SOME], ""
+    inside, partly, alone = table[(table[IMAGES] != "") & ~is_average], marked[marked[IMAGES] == IN_SOME], ""
     if "method" in table:
-        others = table[~is_average & (table[COLUMN] == "") & table["value"].notna()]
+        others = table[~is_average & (table[IMAGES] == "") & table["value"].notna()]
         if others["scene"].isin(inside["scene"]).any():
             alone = f" ({', '.join(inside['method'].unique())} alone)"
     averages = dict.fromkeys(

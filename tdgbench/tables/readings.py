@@ -21,25 +21,25 @@ from tdgbench.tables.measures import (
     AVERAGE,
     GAUSSIANS,
     HOURS,
+    MAIN_COLUMNS,
+    MAIN_SCORES,
     MEASURES,
     MEMORY,
     OF_RECORDS,
     OVERALL,
     PARAMETERS,
-    PUBLISHED,
-    PUBLISHED_SCORES,
     digits,
 )
 from tdgbench.tables.palette import with_mark
 from tdgbench.tables.published import published_main
 from tdgbench.tables.statistics import mean_interval, with_interval
 
-COMPARED = (*PUBLISHED, GAUSSIANS.name)  # columns of the printed tables of changes
-SHOWN = (*PUBLISHED, "depth_inconsistency", GAUSSIANS.name, PARAMETERS.name, MEMORY.name)  # of averages
+COMPARED = (*MAIN_COLUMNS, GAUSSIANS.name)  # columns of the printed tables of changes
+SHOWN = (*MAIN_COLUMNS, "depth_inconsistency", GAUSSIANS.name, PARAMETERS.name, MEMORY.name)  # of averages
 _OMITTED = {name for name in METRICS if METRICS[name].unit == "°C"}  # scale with a scene's temperature range
 SCORES = (
-    *PUBLISHED_SCORES,
-    *sorted(name for name in set(METRICS) - set(PUBLISHED) - _OMITTED if not METRICS[name].images),
+    *MAIN_SCORES,
+    *sorted(name for name in set(METRICS) - set(MAIN_COLUMNS) - _OMITTED if not METRICS[name].images),
 )
 PLACE = ["dataset", "scene", "init", "split", "seed", "setup"]
 CHANGES = ["init", "split", "dataset", "scene", "metric", "kind", "change", "ci95_low", "ci95_high", "seeds", "scenes"]

@@ -21,7 +21,7 @@ from tdgbench.tables.claims import claims_table, judge_claims
 from tdgbench.tables.claims.evidence import evidence_of
 from tdgbench.tables.findings import claims_in_words
 from tdgbench.tables.likeness import RANK_UNLIKE
-from tdgbench.tables.palette import COLUMN, image_values, palette_notes
+from tdgbench.tables.palette import IMAGES, image_values, palette_notes
 from tdgbench.tables.results import read_results
 from tdgbench.tables.sensitivity import Weights, sensitivity
 from tdgbench.tables.show import show_claims, show_problems, show_sensitivity, show_tables
@@ -35,7 +35,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--weights", action="append", default=[], metavar="NET=FILE", type=_weights,
                         help="backbone of LPIPS for sensitivity, if torch's cache lacks it: vgg=vgg16.npz")  # fmt: skip
     parser.add_argument("--columns", type=lambda text: tuple(text.split(",")), default=(), metavar="NAME,...",
-                        help="measures of the main table, as psnr,ssim")  # fmt: skip
+                        help="measures of the main table, as psnr,gaussians")  # fmt: skip
     parser.add_argument(RANK_UNLIKE, action="store_true", dest="is_ranking_unlike",
                         help="rank and average cells of unlike trainings: other budgets, versions ...")  # fmt: skip
     options = parser.parse_intermixed_args(arguments)
@@ -70,7 +70,7 @@ def _weights(text: str) -> tuple[str, str]:
 def _sensitivity(experiment: Path, weights: Weights) -> int:
     results = read_results(experiment)
     cells = results.finished
-    table = sensitivity(cells, weights).assign(**{COLUMN: image_values(cell.record for cell in cells)})
+    table = sensitivity(cells, weights).assign(**{IMAGES: image_values(cell.record for cell in cells)})
     results.tables.mkdir(exist_ok=True)
     write_text(results.tables / "sensitivity.csv", as_csv(table, na_rep="n/a"))
     show_problems(results.problems)

@@ -20,7 +20,7 @@ from scipy.special import stdtrit
 
 from tdgbench.tables.between_papers import with_other_papers
 from tdgbench.tables.measures import HOURS, MEASURES, OVERALL, half_unit
-from tdgbench.tables.palette import COLUMN
+from tdgbench.tables.palette import IMAGES
 from tdgbench.tables.published import FOLDER
 from tdgbench.tables.seed_spreads import beyond_any_seed
 from tdgbench.tables.statistics import half_width
@@ -140,9 +140,9 @@ def against_published(main: pd.DataFrame, published: pd.DataFrame, keys: list[st
     """Return one row per published number: keys, ours, published, difference (ours − published), reason, std, seeds,
     fields of ScoreVerdict, other papers' numbers, image_values. ours: NaN where it is n/a, for the reason.
     """
-    ours = main[[*keys, "value", "reason", "std", "seeds", COLUMN]].rename(columns={"value": "ours"})
+    ours = main[[*keys, "value", "reason", "std", "seeds", IMAGES]].rename(columns={"value": "ours"})
     merged = published[[*keys, "value"]].rename(columns={"value": "published"}).merge(ours, on=keys, how="left")
-    merged = merged.fillna({"reason": "no such cell in our results", "seeds": 0, COLUMN: ""}).astype({"seeds": int})
+    merged = merged.fillna({"reason": "no such cell in our results", "seeds": 0, IMAGES: ""}).astype({"seeds": int})
     merged["difference"] = merged["ours"] - merged["published"]
     judged = [
         judge_published(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
@@ -152,7 +152,7 @@ def against_published(main: pd.DataFrame, published: pd.DataFrame, keys: list[st
     table = pd.concat([merged[[*keys, "ours", "published", "difference", "reason", "std", "seeds"]],
                        verdicts[["margin", "ci90_low", "ci90_high", "verdict", "seeds_needed", "undecided_because"]]],
                       axis=1)  # fmt: skip
-    return with_other_papers(table).assign(**{COLUMN: merged[COLUMN]})
+    return with_other_papers(table).assign(**{IMAGES: merged[IMAGES]})
 
 
 def comparable(differences: pd.DataFrame) -> pd.DataFrame:

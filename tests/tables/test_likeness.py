@@ -151,7 +151,10 @@ def test_latex_has_spreads_and_units_that_fit(tmp_path, seconds, text):
 
 
 def test_columns_are_chosen(tmp_path, capsys):
-    write(tmp_path, scene="orbit", dataset="synthetic")
+    write(tmp_path, scene="orbit", dataset="synthetic", parts={"thermal": {"gaussians": 4321}})
+    assert main(["--columns", "gaussians,memory_mb", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "Gaussians↓" in said and "4321" in said and "not recorded" in said
     assert main(["--columns", "ssim,psnr", str(tmp_path)]) == 0
     assert "LPIPS↓" not in capsys.readouterr().out
     assert r"orbit & 0.800 & 20.00 \\" in (tmp_path / "tables" / "main.tex").read_text()

@@ -14,7 +14,7 @@ import pandas as pd
 from tdgbench.tables import measures, methods
 from tdgbench.tables.between_papers import OFF, UNKNOWN, check_averages
 from tdgbench.tables.claims.evidence import Claim, ClaimEvidence, Finding, MissingError
-from tdgbench.tables.measures import AVERAGE, HOURS, OVERALL, PUBLISHED, digits
+from tdgbench.tables.measures import AVERAGE, HOURS, MAIN_COLUMNS, OVERALL, digits
 from tdgbench.tables.published import printed_half_unit
 from tdgbench.tables.statistics import mean_interval
 
@@ -168,7 +168,7 @@ def ablation_agrees(claim: Claim, evidence: ClaimEvidence) -> Finding:
 
 def averages_follow(_claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the averages are those of the rows."""
-    table = evidence.main[evidence.main["metric"].isin(PUBLISHED)]
+    table = evidence.main[evidence.main["metric"].isin(MAIN_COLUMNS)]
     places = zip(table["metric"], table["scene"], strict=True)
     checked = check_averages(table.assign(half_unit=[_tolerance(evidence, metric, scene) for metric, scene in places]))
     if checked.empty:
@@ -184,7 +184,7 @@ def averages_follow(_claim: Claim, evidence: ClaimEvidence) -> Finding:
 
 def bold_follows(_claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the better value of each row is bold. Values that print the same are a tie, which has no mark."""
-    table = evidence.main[evidence.main["metric"].isin(PUBLISHED)]
+    table = evidence.main[evidence.main["metric"].isin(MAIN_COLUMNS)]
     if table.empty:
         raise MissingError("no scene has both methods")
     if "bold" not in table:
