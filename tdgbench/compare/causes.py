@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 from tdgbench.cells.ground_truth import views_with_other_truth
 from tdgbench.cells.key import differences, flat
 from tdgbench.cells.protocol import MEASURED_ON
 from tdgbench.cells.record import Record
-from tdgbench.compare.compared_cells import ComparedCell
+from tdgbench.compare.pairs import ComparedCell, Pairs, Place, place_of
+from tdgbench.scoring import METRICS
+from tdgbench.tables.measures import MEASURES
 from tdgbench.text import as_typed, one_line
 
 PROTOCOL, TRAINING, MACHINE = "protocol", "training", "machine"
 KINDS = {
-    PROTOCOL: "decides what a score means; numbers of two protocols are not comparable",
+    PROTOCOL: "decides what a score means: none is compared across two",
     TRAINING: "decides what is trained",
     MACHINE: "decides rounding and time",
 }
-OF_PROTOCOL = ("protocol", "data", *MEASURED_ON)  # fields of Record
+OF_PROTOCOL = ("data", *MEASURED_ON)  # fields of Record
 OF_TRAINING = ("iterations", "backend", "code", "prior", "init_points")
 PROTOCOL_OPTIONS = ("dataset", "metrics")  # groups of the configuration
 ELSEWHERE = ("metrics.lpips.weights",)  # says where weights are, not which they are
+NAME = "metrics.convention"  # of other options of metrics
+ADDED = "metrics.extra"  # changes no other score
 TRUTH = PROTOCOL, "ground truth"
+LACKING = "n/a"
 
 
 class Cause(NamedTuple):
@@ -33,22 +38,54 @@ class Cause(NamedTuple):
     name: str
     values: tuple[str, str]
     cells: int
+    places: frozenset[Place]
+
+    @property
+    def change(self) -> str:
+        """`budget.iterations: 3000 → 1200`."""
+        return f"{self.name}: {self.values[0]} → {self.values[1]}"
+
+    @property
+    def scores(self) -> Collection[str]:
+        """The scores whose meaning it decides."""
+        if self.kind != PROTOCOL or self.name == ADDED:
+            return ()
+        option = self.name.removeprefix("metrics.")
+        named = [name for name, metric in METRICS.items() if self.name != option in metric.options]
+        return [one for name in named for one in (name, f"train_{name}")] or MEASURES
+
+    @property
+    def scope(self) -> str:
+        """` (LPIPS alone)` where a setting of the protocol does not decide all scores; else empty."""
+        if self.name == ADDED:
+            return " (adds scores)"
+        labels = dict.fromkeys(MEASURES[name].label for name in self.scores if name in MEASURES)
+        return f" ({', '.join(labels)} alone)" if self.scores and self.scores is not MEASURES else ""
 
     def sentence(self, pairs: int) -> str:
-        """Return `budget.iterations: 3000 → 1200`, and in how many of the pairs if not in all."""
+        """Return the change, which scores it decides, and in how many of the pairs it is if not in all."""
         some = "" if self.cells == pairs else f" (in {self.cells} of {pairs} cells)"
-        return f"{self.name}: {self.values[0]} → {self.values[1]}{some}"
+        return f"{self.change}{self.scope}{some}"
 
 
-def find_causes(pairs: Iterable[ComparedCell]) -> list[Cause]:
-    """Return every setting that differs in a pair, by kind, most frequent ones first; their ground truth among them."""
+def find_causes(pairs: Pairs) -> list[Cause]:
+    """Return every setting that differs in a pair, by kind, most frequent ones first; their ground truth among them.
+
+    An option that is null equals one that a record lacks: it is of a version before there was the option.
+    """
     found: dict[tuple[str, str], Counter[tuple[str, str]]] = {}
+    places: dict[tuple[str, str], set[Place]] = {}
     for pair in pairs:
         a, b = settings(pair.a.record), settings(pair.b.record)
         a[TRUTH], b[TRUTH] = "A's", truth_in_words(pair)
-        for key, (mine, theirs) in differences([a, b], "n/a").items():
-            found.setdefault(key, Counter())[mine, theirs] += 1
-    causes = [Cause(*key, counts.most_common(1)[0][0], counts.total()) for key, counts in found.items()]
+        for key, (mine, theirs) in differences([a, b], LACKING).items():
+            if {mine, theirs} != {LACKING, "null"}:
+                found.setdefault(key, Counter())[mine, theirs] += 1
+                places.setdefault(key, set()).add(place_of(pair.a.record))
+    causes = [
+        Cause(*key, counts.most_common(1)[0][0], counts.total(), frozenset(places[key]))
+        for key, counts in found.items()
+    ]
     kinds = list(KINDS)
     return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells))
 
@@ -66,10 +103,12 @@ def truth_in_words(pair: ComparedCell) -> str:
 
 def settings(record: Record) -> dict[tuple[str, str], str]:
     """Return everything behind a cell's scores as text, by kind and dotted name."""
-    whole: dict[str, dict[str, Any]] = {PROTOCOL: {}, TRAINING: {}, MACHINE: dict(record.environment)}
+    number = record.protocol.partition("-")[0]  # the rest is a hash of options
+    whole: dict[str, dict[str, Any]] = {PROTOCOL: {"protocol": number}, TRAINING: {}, MACHINE: dict(record.environment)}
     for kind, fields in ((PROTOCOL, OF_PROTOCOL), (TRAINING, OF_TRAINING)):
         whole[kind] |= {name: getattr(record, name) for name in fields}
     for group, options in record.config.items():
         whole[PROTOCOL if group in PROTOCOL_OPTIONS else TRAINING][group] = options
-    named = [(kind, name, value) for kind, of_kind in whole.items() for name, value in flat(of_kind).items()]
+    named = [(kind, name, value) for kind, of_kind in whole.items() for name, value in flat(of_kind).items()
+             if name != NAME]  # fmt: skip
     return {(MACHINE if name in ELSEWHERE else kind, name): as_typed(value) for kind, name, value in named}

@@ -11,9 +11,10 @@ from rich.table import Table
 from rich.text import Text
 
 from tdgbench.compare import compared_cells as compared
-from tdgbench.compare.causes import KINDS, MACHINE, PROTOCOL, Cause, find_causes
-from tdgbench.compare.compared_cells import FIRST, IDENTICAL, Pairs
+from tdgbench.compare.causes import KINDS, MACHINE, Cause, find_causes
+from tdgbench.compare.compared_cells import FIRST, IDENTICAL, NOT_COMPARED, ONE_TRAINING, TWO_PROTOCOLS
 from tdgbench.compare.comparison_page import write_page
+from tdgbench.compare.pairs import Pairs, find_pairs, place_of
 from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
 from tdgbench.scoring import METRICS
@@ -30,7 +31,7 @@ OF_TIMES = ("cpu", "cores", "threads", "simd_lanes", "gpu")  # fields of a recor
 
 @errors_in_one_line("compare", status=2)
 def main(arguments: list[str]) -> int:
-    """Run the tool; return the exit status: 0 if no verdict is `better` or `worse` and the protocol is one, else 1."""
+    """Run the tool; return the exit status: 1 if a verdict is `better` or `worse`, or a score of two protocols."""
     parser = argparse.ArgumentParser(
         prog="tdgbench compare", description="Compare two result folders, cell by cell: of two machines, versions, "
         "backends, settings. Differences are B − A.",
@@ -40,33 +41,46 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.csv and compare.html there")
     options = parser.parse_args(arguments)
     with opened_pack(options.a) as a, opened_pack(options.b) as b:
-        return _compare(a, b, options.out)
+        return _compare(a, b, shown_paths(options.a, options.b), options.out)
 
 
-def _compare(a: Path, b: Path, out: Path | None) -> int:
-    pairs = compared.find_pairs(_cells(a), _cells(b))
+def shown_paths(a: Path, b: Path) -> tuple[str, str]:
+    """Return two paths as they were typed; absolute ones as the shortest ends that differ, since pages go to others.
+
+    >>> shown_paths(Path("results/own"), Path("/home/ada/results/own")), shown_paths(Path("/a/b/c"), Path("/a/d/c"))
+    (('results/own', '.../own'), ('.../b/c', '.../d/c'))
+    """
+    ends = next((n for n in range(1, len(a.parts)) if a.parts[-n:] != b.parts[-n:]), 1)
+    mine, theirs = (
+        f".../{'/'.join(path.parts[-ends:])}" if path.is_absolute() and len(path.parts) > ends else str(path)
+        for path in (a, b)
+    )
+    return mine, theirs
+
+
+def _compare(a: Path, b: Path, names: tuple[str, str], out: Path | None) -> int:
+    pairs = find_pairs(_cells(a), _cells(b))
     if not len(pairs):
         raise ValueError(
             f"{a} and {b} share no finished cell: none has the same method, scene, initial points and seed"
         )
     causes, otherwise = find_causes(pairs), assumed_differences((pair.a.record, pair.b.record) for pair in pairs)
-    table = compared.score_table(pairs, are_repeats=all(cause.kind == MACHINE for cause in causes))
+    table = compared.score_table(pairs, causes)
     findings = [*assumed_in_words(otherwise), *findings_of(table, causes, pairs)]
     for one in otherwise[:MOST_CAUSES]:
         say(one_line(one.sentence), "assumed:", "bold")
     if len(otherwise) > MOST_CAUSES:
         say(f"{len(otherwise) - MOST_CAUSES} more that differ, which --out writes", "assumed:", "bold")
-    _show(table, causes, len(pairs))
+    _show(table, causes, len(pairs), findings)
     for sentence in findings:
         say(sentence, "found:", "bold")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         write_text(out / "compare.csv", as_csv(table, na_rep="n/a"))
-        names = a.resolve().name, b.resolve().name
         write_page(out / "compare.html", names, findings, table, causes, pairs, otherwise)
         say(f"{out / 'compare.csv'}, {out / 'compare.html'}")
     differs = table["verdict"].isin(["better", "worse"]).any()
-    return int(differs or any(cause.kind == PROTOCOL for cause in causes))
+    return int(differs or table["reason"].str.startswith(TWO_PROTOCOLS).any())
 
 
 def _cells(experiment: Path) -> list[Cell]:
@@ -92,25 +106,32 @@ def assumed_in_words(differences: Sequence[AssumedDifference]) -> list[str]:
 def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> list[str]:
     """Return what a comparison found, one sentence each: verdicts, what differs, cells of one experiment alone."""
     found = []
-    if (table.loc[table["metric"].isin(METRICS), "verdict"] == IDENTICAL).all():
-        found.append(f"all scores of the {len(pairs)} cells that both have are identical")
-    else:
-        found += compared.verdicts(table, pairs)
-        if (table.loc[table["verdict"] == UNDECIDED, "seeds"] == 1).any():
-            found.append("one seed has no interval, so its scores are undecided: run both with seed=0,1,2")
+    of_scores = table.loc[table["metric"].isin(METRICS), "verdict"]
+    sentences = compared.verdicts(table, pairs)
+    if set(of_scores) - {NOT_COMPARED} == {IDENTICAL}:
+        found.append(f"all scores that both have are identical, in {len(pairs)} cell{'s' * (len(pairs) > 1)}")
+        sentences = [sentence for sentence in sentences if NOT_COMPARED in sentence]
+    found += sentences
+    if (table.loc[table["verdict"] == UNDECIDED, "seeds"] == 1).any():
+        found.append("one seed has no interval, so its scores are undecided: run both with seed=0,1,2")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
-        further = {record.seed for record in alone if compared.place_of(record) in pairs.by_place}
+        further = {record.seed for record in alone if place_of(record) in pairs.by_place}
         if further:
             both, more = (
                 f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, sorted(seeds)))}"
                 for seeds in ({pair.a.record.seed for pair in pairs}, further)
             )
             found.append(f"means are over {both}, which both have; {name} has {more} as well, which its tables average")
-    kinds = [kind for kind in KINDS if any(cause.kind == kind for cause in causes)]
-    if PROTOCOL in kinds:
-        found.append("the two do not follow one protocol, so their scores are not comparable: see what differs")
+    once = sum(pair.is_one_training for pair in pairs)
+    if once:
+        some = "" if once == len(pairs) else f" in {once} of {len(pairs)} cells"
+        found.append(f"{ONE_TRAINING}{some}: models, renders and logs of A and B are equal (scored again, or copied), "
+                     "so there is no repeat and no second time")  # fmt: skip
     if any(cause.kind == MACHINE and cause.name.split(".")[0] in OF_TIMES for cause in causes):
-        found.append("their machines or threads differ, so their times are not comparable")
+        found.append("their machines or threads differ, which may be why their times do")
+    scopes = {kind: {cause.scope for cause in causes if cause.kind == kind} for kind in KINDS}
+    kinds = [f"{kind}{''.join(sorted(of_kind - {''})) if '' not in of_kind else ''}"
+             for kind, of_kind in scopes.items() if of_kind]  # fmt: skip
     found.append(f"what differs: {', '.join(kinds)}" if kinds else "settings, data, code and machine are the same")
     found.append("the ground truth of both is what their files say: tdgbench verify compares it with the data")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
@@ -120,14 +141,14 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     return found
 
 
-def _show(table: pd.DataFrame, causes: Sequence[Cause], pairs: int) -> None:
+def _show(table: pd.DataFrame, causes: Sequence[Cause], pairs: int, findings: Sequence[str]) -> None:
     """Print the scores that tables print, and what differs."""
-    printed = compared.comparison_grid(table[table["metric"].isin(FIRST)])
+    printed = compared.comparison_grid(table[table["metric"].isin(FIRST)], findings)
     shown = Table(*printed.heads, *printed.columns)
     for row in printed.rows:
         shown.add_row(*(Text(one_line(head)) for head in row.heads), *(cell.text or cell.note for cell in row.cells))
     console().print(shown)
-    for note in printed.notes:
+    for note in (*printed.notes, *compared.legend(table)):
         say(one_line(note))
     for kind, meaning in KINDS.items():
         some = [cause for cause in causes if cause.kind == kind]

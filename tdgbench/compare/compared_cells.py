@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from tdgbench.compare.causes import MACHINE, Cause, decided_scores
+from tdgbench.compare.causes import MACHINE, Cause
 from tdgbench.compare.pairs import PLACE, ComparedCell, Pairs, Place
 from tdgbench.present.grid import Grid, GridCell, GridRow
+from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
 from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import COLUMNS as OF_TABLES
-from tdgbench.scoring.metric import Measure
 from tdgbench.tables.measures import GAUSSIANS, HOURS, MEASURES, RecordMeasure, as_text
 from tdgbench.tables.palette import IMAGES, MARK, image_values, palette_notes
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED, judge_score, load_margins, seeds_interval
@@ -29,7 +29,7 @@ from tdgbench.text import first_few, one_line
 FIRST = (*OF_TABLES, GAUSSIANS.name)  # numbers that are shown first
 IDENTICAL, EQUIVALENT, NOT_COMPARED = "identical", "equivalent", "not compared"
 TWO_PROTOCOLS = "two protocols"  # begins the reason
-ONE_TRAINING = "it is one training, not two"
+ONE_TRAINING = "nothing was trained twice"
 SMALLEST = 1e-4  # spread that is printed
 COLUMNS = [
     *PLACE, "metric", "seeds", "of_seeds", "a", "b", "difference", "ci90_low", "ci90_high", "margin", "verdict",
@@ -72,9 +72,7 @@ def score_table(pairs: Pairs, causes: Sequence[Cause]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _why_not_compared(
-    metric: str, place: Place, by_seed: Mapping[int, ComparedCell], causes: Iterable[Cause]
-) -> str:
+def _why_not_compared(metric: str, place: Place, by_seed: Mapping[int, ComparedCell], causes: Iterable[Cause]) -> str:
     """Return why a number of A and B is not compared; empty if it is."""
     lacking: dict[str, dict[int, str]] = {}
     for seed, pair in by_seed.items():
@@ -84,13 +82,13 @@ def _why_not_compared(
                 lacking.setdefault(name, {})[seed] = why
     if lacking:
         seeds = {seed: why for of_cell in lacking.values() for seed, why in of_cell.items()}
-        some = "" if len(seeds) == len(by_seed) else f" for seed {first_few(map(str, seeds))}"
+        some = "" if len(seeds) == len(by_seed) else f" of seed {first_few(map(str, seeds))}"
         why = next((one_line(why) for why in seeds.values() if why), "not recorded")
-        return f"{'neither has it' if len(lacking) > 1 else f'{[*lacking][0]} has none'}{some} ({why})"
+        return f"{'A and B have' if len(lacking) > 1 else f'{min(lacking)} has'} none{some}: {why}"
     if isinstance(MEASURES[metric], RecordMeasure):
         return ONE_TRAINING if any(pair.is_one_training for pair in by_seed.values()) else ""
-    unlike = [one for one in causes if place in one.places and metric in decided_scores(one)]
-    return f"{TWO_PROTOCOLS} ({'; '.join(f'{one.name}: {" → ".join(one.values)}' for one in unlike)})" if unlike else ""
+    unlike = [cause.change for cause in causes if place in cause.places and metric in cause.scores]
+    return f"{TWO_PROTOCOLS} ({'; '.join(unlike)})" if unlike else ""
 
 
 def _values(pair: ComparedCell, metric: str) -> list[float]:
@@ -138,12 +136,13 @@ def legend(table: pd.DataFrame) -> list[str]:
     lines, is_judged = [], table["margin"].notna() & table["ci90_low"].notna() & (table["verdict"] != IDENTICAL)
     if is_judged.any():
         lines.append(
-            f"{EQUIVALENT}: the 90 % interval of B − A, over seeds, lies within the margin ({margins_in_words()}); better, "
-            f"worse: wholly outside; {UNDECIDED}: anything else. 90 %: equivalence is two one-sided tests of 5 % each"
+            f"{EQUIVALENT}: the 90 % interval of B − A, over seeds, lies within the margin ({margins_in_words()}); "
+            f"better, worse: outside of it; {UNDECIDED}: anything else. 90 %: equivalence is two one-sided tests of 5 %"
         )
     spreads = {"repeat_std": "std of a repeat: of a cell trained again with the same seed",
                "seed_std": "std over seeds: mean of A's and B's"}  # fmt: skip
-    return lines + ["; ".join(text for name, text in spreads.items() if table[name].notna().any())]
+    shown = "; ".join(text for name, text in spreads.items() if table[name].notna().any())
+    return [*lines, shown] if shown else lines
 
 
 def place_heads(table: pd.DataFrame) -> list[str]:
@@ -238,7 +237,10 @@ def verdicts(table: pd.DataFrame, pairs: Pairs) -> list[str]:
     if len(reasons) == 1 and reasons[0]:
         return [f"no score is compared: {reasons[0]}"]
     places = f"({', '.join(place_heads(table))})"
-    return [_verdicts_of(MEASURES[str(metric)], group, pairs, places) for metric, group in judged.groupby("metric", sort=False)]
+    return [
+        _verdicts_of(MEASURES[str(metric)], group, pairs, places)
+        for metric, group in judged.groupby("metric", sort=False)
+    ]
 
 
 def _verdicts_of(measure: Measure, group: pd.DataFrame, pairs: Pairs, places: str) -> str:
@@ -246,8 +248,9 @@ def _verdicts_of(measure: Measure, group: pd.DataFrame, pairs: Pairs, places: st
     counts, several = group["verdict"].value_counts(), len(group) > 1
     words = ", ".join(f"{word} on {number}" if several else str(word) for word, number in counts.items())
     text = f"{measure.label}: {words}{f' of {len(group)} {places}' if several else ''}"
-    reasons = [reason for reason in group["reason"].unique() if reason]
-    compared = group[group["verdict"] != NOT_COMPARED]
+    reasons, compared = "; ".join(filter(None, group["reason"].unique())), group[group["verdict"] != NOT_COMPARED]
+    if compared.empty:
+        return f"{measure.label}: {NOT_COMPARED}, {reasons}"
     if not (compared["verdict"] == IDENTICAL).all():
         by_place = [pairs.by_place[place] for place in compared[PLACE].itertuples(index=False, name=None)]
         common = sorted(set.intersection(*map(set, by_place)))
@@ -260,4 +263,4 @@ def _verdicts_of(measure: Measure, group: pd.DataFrame, pairs: Pairs, places: st
         else:
             zero = ", which contains zero" if found.low <= 0 <= found.high else ""
             text += f", 90 % interval {interval_as_text(measure.name, found.low, found.high)}{zero}"
-    return "; ".join([text, *reasons])
+    return f"{text}; {NOT_COMPARED}: {reasons}" if reasons else text

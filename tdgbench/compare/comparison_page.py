@@ -10,7 +10,8 @@ import pandas as pd
 from tdgbench.cells.folder import CellPictures
 from tdgbench.cells.record import Record
 from tdgbench.compare.causes import KINDS, Cause
-from tdgbench.compare.compared_cells import FIRST, ComparedCell, Pairs, comparison_grid
+from tdgbench.compare.compared_cells import FIRST, comparison_grid, legend
+from tdgbench.compare.pairs import ComparedCell, Pairs
 from tdgbench.files import write_text
 from tdgbench.present.colour_scale import colour_scale
 from tdgbench.present.colours import colored, in_colour
@@ -38,7 +39,8 @@ def write_page(
         causes=[(kind, meaning, [cause.sentence(len(pairs)) for cause in causes if cause.kind == kind])
                 for kind, meaning in KINDS.items()],
         otherwise=[one.sentence for one in otherwise], assumed=_assumed(pairs),
-        scores=comparison_grid(table[is_first]), others=comparison_grid(table[~is_first]),
+        scores=comparison_grid(table[is_first], findings), others=comparison_grid(table[~is_first], findings),
+        legend=legend(table),
         pictures=[picture(", ".join(filter(None, place)) + f", seed {seed}", pair)
                   for place, (seed, pair) in shown[:MOST_PICTURES]],
     )  # fmt: skip

@@ -12,7 +12,8 @@ from PIL import Image
 from tdgbench.cells.record import read_record
 from tdgbench.compare.causes import MACHINE, PROTOCOL, TRAINING, find_causes, settings
 from tdgbench.compare.compare_command import main
-from tdgbench.compare.compared_cells import find_pairs, score_table
+from tdgbench.compare.compared_cells import score_table
+from tdgbench.compare.pairs import find_pairs
 from tdgbench.tables.results import read_results
 from tests.helpers.html_page import HtmlPage
 from tests.helpers.records import record, write
@@ -26,12 +27,13 @@ def two_experiments(tmp_path, psnr_a, psnr_b, **extra):
     """Folders A and B with a cell per seed, whose PSNR are given; `extra` changes records of B."""
     for name, values, more in (("a", psnr_a, {}), ("b", psnr_b, extra)):
         for seed, psnr in enumerate(values):
-            write(tmp_path / name, seed=seed, scores={"psnr": psnr}, **more)
+            write(tmp_path / name, seed=seed, **{"scores": {"psnr": psnr}, **more})
     return tmp_path / "a", tmp_path / "b"
 
 
-def psnr_row(a, b, are_repeats=True):
-    return score_table(pairs_of(a, b), are_repeats).set_index("metric").loc["psnr"]
+def rows_of(a, b):
+    pairs = pairs_of(a, b)
+    return score_table(pairs, find_causes(pairs)).set_index("metric")
 
 
 @pytest.mark.parametrize(
@@ -42,7 +44,7 @@ def psnr_row(a, b, are_repeats=True):
     ],
 )  # fmt: skip
 def test_verdicts_are_of_the_differences_of_equal_seeds(tmp_path, psnr_b, verdict):
-    row = psnr_row(*two_experiments(tmp_path, [20.0, 21.0, 22.0], psnr_b))
+    row = rows_of(*two_experiments(tmp_path, [20.0, 21.0, 22.0], psnr_b)).loc["psnr"]
     assert row["verdict"] == verdict
     assert row["difference"] == pytest.approx(np.mean(psnr_b) - 21.0)
     assert (row["ci90_low"] <= row["difference"] <= row["ci90_high"]) and row["seeds"] == 3
@@ -52,18 +54,19 @@ def test_the_spread_of_a_repeat_is_not_that_of_seeds(tmp_path):
     rng = np.random.default_rng(0)
     seeds = rng.normal(20, 1, 400)
     a, b = two_experiments(tmp_path, *(list(seeds + rng.normal(0, 0.1, 400)) for _ in range(2)))
-    row = psnr_row(a, b)
+    row = rows_of(a, b).loc["psnr"]
     assert row["repeat_std"] == pytest.approx(0.1, rel=0.1)
     assert row["seed_std"] == pytest.approx(1.0, rel=0.1)
-    assert np.isnan(psnr_row(a, b, are_repeats=False)["repeat_std"])
+    a, b = two_experiments(tmp_path / "longer", [20.0, 21.0], [20.1, 21.0], iterations=9)
+    assert np.isnan(rows_of(a, b).loc["psnr", "repeat_std"])
 
 
 @pytest.mark.parametrize(
     ("psnr_b", "said"),
     [
-        ([19.0], "PSNR: 1 undecided; B − A -1.00 dB, by one seed, which shows no difference"),
-        ([20.1, 20.9], "PSNR: 1 undecided; B − A +0.00 dB, 90 % interval -0.631 to +0.631, which contains zero"),
-        ([22.0, 23.1], "PSNR: 1 better; B − A +2.05 dB, 90 % interval +1.73 to +2.37"),
+        ([19.0], "PSNR: undecided; B − A -1.00 dB, by one seed, which shows no difference"),
+        ([20.1, 20.908], "PSNR: undecided; B − A within ±0.01 dB, 90 % interval -0.602 to +0.610, which contains zero"),
+        ([22.0, 23.1], "PSNR: better; B − A +2.05 dB, 90 % interval +1.73 to +2.37"),
     ],
 )  # fmt: skip
 def test_a_finding_is_no_stronger_than_its_seeds(tmp_path, capsys, psnr_b, said):
@@ -80,7 +83,7 @@ def test_cells_of_one_experiment_alone_are_named(tmp_path, capsys):
     assert "means are over seed 0, which both have; A has seeds 1, 2 as well, which its tables average" in out
     assert "finished in A alone: tdg on RGBT-Scenes/Truck, colmap, seed 1 and 1 more" in out
     assert "finished in B alone: tdg on RGBT-Scenes/Lion" in out
-    assert "all scores of the 1 cells that both have are identical" in out
+    assert "all scores that both have are identical, in 1 cell\n" in out
 
 
 def test_what_differs_is_told_by_what_it_decides(tmp_path):
@@ -102,9 +105,40 @@ def test_two_protocols_are_refused_and_said(tmp_path, capsys):
     weights = {"metrics": {"lpips": {"weights": "/home/ada/vgg.npz"}}}
     a, b = two_experiments(tmp_path, [20.0], [20.0], split="every_8th", config=weights)
     assert main([str(a), str(b), "--out", str(tmp_path / "out")]) == 1
-    assert "not follow one protocol" in capsys.readouterr().out
+    assert "found: no score is compared: two protocols (split: '' → every_8th)\n" in capsys.readouterr().out
+    table = pd.read_csv(tmp_path / "out" / "compare.csv")
+    assert set(table.loc[table["margin"].notna(), "verdict"]) == {"not compared"}
     page = (tmp_path / "out" / "compare.html").read_text()
     assert "metrics.lpips.weights: n/a → .../vgg.npz" in page and "/ada" not in page and str(tmp_path) not in page
+    assert "<h1>A: .../a, B: .../b</h1>" in page
+
+
+@pytest.mark.parametrize(
+    ("extra", "said", "status"),
+    [
+        ({"config": {"metrics": {"lpips": {"net": "alex"}}}}, "two protocols (metrics.lpips.net: n/a → alex)", 1),
+        ({"scores": {"lpips": None}, "missing": {"lpips": "no weights"}}, "B has none: no weights", 0),
+    ],
+)  # fmt: skip
+def test_a_score_that_cannot_be_compared_leaves_the_others(tmp_path, capsys, extra, said, status):
+    a, b = two_experiments(tmp_path, [20.0], [20.0], **extra)
+    assert main([str(a), str(b), "--out", str(tmp_path / "out")]) == status
+    out = capsys.readouterr().out
+    assert f"found: LPIPS: not compared, {said}\n" in out and "all scores that both have are identical" in out
+    table = pd.read_csv(tmp_path / "out" / "compare.csv").set_index("metric")
+    assert (table.loc["lpips", "verdict"], table.loc["lpips", "reason"]) == ("not compared", said)
+    assert np.isnan(table.loc["lpips", "difference"]) and table.loc["ssim", "verdict"] == "identical"
+    assert status == 0 or "what differs: protocol (LPIPS alone)\n" in out
+
+
+def test_a_training_that_was_scored_again_is_no_repeat(tmp_path, capsys):
+    hashes = dict.fromkeys(("log.csv", "model.ply", "views.csv"), "0" * 64)
+    for name, changed in (("a", {}), ("b", {"views.csv": "1" * 64})):
+        write(tmp_path / name, hashes=hashes | changed)
+    assert main([str(tmp_path / "a"), str(tmp_path / "b")]) == 0
+    out = capsys.readouterr().out
+    assert "found: nothing was trained twice: " in out and "std of a repeat" not in out
+    assert rows_of(tmp_path / "a", tmp_path / "b").loc["train_hours", "verdict"] == "not compared"
 
 
 def test_other_assumptions_come_before_the_numbers(tmp_path, capsys):
@@ -155,7 +189,7 @@ def test_page_and_table_show_the_view_that_differs_most(tmp_path, small_results,
     assert f"test view {views.loc[1, 'view']}" in page
     assert page.count("<figure>") == 3 * (len(pairs_of(a, b)) - 1)
     table = pd.read_csv(tmp_path / "out" / "compare.csv")
-    assert set(table["verdict"].dropna()) == {"identical"}
+    assert set(table["verdict"].dropna()) == {"identical", "not compared"}
 
 
 def test_the_place_of_weights_is_no_protocol():
