@@ -74,7 +74,7 @@ DOORS = {
     },
     "tdgbench/scoring/lpips.py": {"torch.load": "the lpips package"},
     "tdgbench/scoring/registry.py": {"importlib.import_module": "modules of scoring/metrics, and the user's"},
-    "tdgbench/site/budgets.py": {"OmegaConf.load": "YAML of conf/"},
+    "tdgbench/site/packed.py": {"OmegaConf.load": "YAML of conf/"},
     "tdgbench/site/site_pages.py": {"path.read_text": OURS},
     "tdgbench/splats/backends/__init__.py": {"importlib.import_module": "a name of a table of ours"},
     "tdgbench/splats/backends/cuda.py": {"importlib.import_module": "gsplat"},

@@ -8,12 +8,15 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from omegaconf import OmegaConf
+
 from tdgbench.cells.folder import hashes_of_content
+from tdgbench.cells.key import as_json, flat
 from tdgbench.cells.paths import VIEWS_FILE, folder_name
 from tdgbench.cells.plan import Plan, read_plan
 from tdgbench.cells.protocol import protocol_settings
@@ -22,13 +25,14 @@ from tdgbench.packs import manifest, unpacked
 from tdgbench.packs.checklist import Item, checklist
 from tdgbench.packs.manifest import Manifest
 from tdgbench.present.grid import GridCell
-from tdgbench.site.budgets import training_in_words
+from tdgbench.resources import conf_folder
 from tdgbench.tables.build import Tables, build_tables
 from tdgbench.tables.grids import SCENE_KEYS, main_grid
 from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import AVERAGE, COLUMNS, MEASURES, OVERALL, TRAINING, learn
 from tdgbench.tables.palette import image_values
 from tdgbench.tables.results import Cell
+from tdgbench.text import as_typed, shortened
 
 AVERAGES = (AVERAGE, OVERALL)
 ERROR = "mae_degC"
@@ -158,6 +162,35 @@ class BoardRow:
         for record in self.records:
             values.setdefault(record.seed, {})[record.scene] = metric_value(record, metric)[0]
         return {seed: fmean(found.values()) for seed, found in values.items() if len(found) == len(self.scenes)}
+
+
+def training_in_words(record: Record) -> str:
+    """Return the budget of a training, and its options that are not those of the budget's file.
+
+    >>> budget = {"name": "demo", "sh_degree": 0}
+    >>> training_in_words(Record("tdg", "synthetic", "orbit", "colmap", 0, "", "", config={"budget": budget}))
+    'budget demo with sh_degree=0'
+    """
+    if record.made_elsewhere is not None:
+        return "made elsewhere"
+    return _budget_in_words(*(json.dumps(record.setting(name), sort_keys=True) for name in ("budget", "method")))
+
+
+@cache
+def _budget_in_words(budget: str, method: str) -> str:
+    options = json.loads(budget)
+    if not isinstance(options, dict) or not isinstance(options.get("name"), str):
+        return "budget n/a"
+    name, path = options["name"], conf_folder() / "budget" / f"{options['name']}.yaml"
+    if path.name != f"{name}.yaml" or not path.is_file():
+        return f"budget {name} of {options.get('iterations')} iterations"
+    stated = json.loads(method)
+    known = stated.items() if isinstance(stated, dict) else ()
+    plain = {n: v for n, v in known if not isinstance(v, dict | list) and "$" not in str(v)}  # nothing is resolved
+    whole = OmegaConf.create({"method": plain, "budget": OmegaConf.load(path)})
+    usual = flat(as_json(OmegaConf.to_container(whole.budget, resolve=True)))
+    changed = [f"{n}={as_typed(v)}" for n, v in flat(options).items() if n in usual and usual[n] != v]
+    return shortened(f"budget {name}{' with ' * bool(changed)}{', '.join(changed)}")
 
 
 def joined(texts: Iterable[str]) -> str:

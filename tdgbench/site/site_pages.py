@@ -22,7 +22,6 @@ from tdgbench.present.html import environment
 from tdgbench.report.report_page import legend
 from tdgbench.report.run_facts import environments
 from tdgbench.resources import conf_folder
-from tdgbench.site.budgets import training_in_words
 from tdgbench.site.packed import (
     ERROR,
     HEADS,
@@ -35,6 +34,7 @@ from tdgbench.site.packed import (
     own_metrics,
     rows_of,
     scene_page,
+    training_in_words,
 )
 from tdgbench.site.picture_cards import cards_of, files_of_cards
 from tdgbench.site.psnr_time_plot import plots
