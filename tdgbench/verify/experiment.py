@@ -18,7 +18,7 @@ from tdgbench.tables.equal_data import equal_in_words, equal_scenes
 from tdgbench.terminal import say
 from tdgbench.text import one_line
 from tdgbench.verify.cell import check_cell, read_cell
-from tdgbench.verify.problems import NotCheckedError, Problems
+from tdgbench.verify.problems import NOT_CHECKED, NOT_COMPUTED, NotCheckedError, Problems
 from tdgbench.verify.record_problems import place_problems
 from tdgbench.verify.truth import data_problems, true_data
 
@@ -41,6 +41,18 @@ class Verification(NamedTuple):
     why_not: tuple[str, ...] = ()
     equal: tuple[str, ...] = ()
     foreign: tuple[str, ...] = ()
+
+    @property
+    def in_words(self) -> str:
+        """The number of problems, and how many of them are no wrong number but a check that was not made.
+
+        >>> Verification(2, 2, ["lpips cannot be computed again: no weights", "psnr is 9, not 8"]).in_words
+        '2 problems, 1 of them checks that could not be made'
+        """
+        m = len(self.problems)
+        not_made = sum(NOT_CHECKED in problem or NOT_COMPUTED in problem for problem in self.problems)
+        some = f", {'all' if not_made == m else not_made} of them checks that could not be made" if not_made else ""
+        return f"{m} problem{'s' * (m != 1)}{some}"
 
     @property
     def of_data(self) -> str:
@@ -76,8 +88,8 @@ def main(arguments: list[str]) -> int:
             say(f"{len(verified.problems) - MOST_SHOWN} more, which are not printed", "problem:")
         few = verified.finished < verified.cells
         unfinished = f", {verified.finished or 'none'} of them finished" if few else ""
-        n, m = verified.cells, len(verified.problems)
-        say(one_line(f"{experiment}: {n} cell{'s' * (n != 1)}{unfinished}, {m} problem{'s' * (m != 1)}"))
+        n = verified.cells
+        say(one_line(f"{experiment}: {n} cell{'s' * (n != 1)}{unfinished}, {verified.in_words}"))
         if verified.finished:
             for sentence in (verified.of_data, *verified.equal):
                 say(one_line(sentence), "data:")

@@ -10,6 +10,7 @@ from tdgbench.scoring.scored_view import NotApplicableError
 P = ParamSpec("P")
 T = TypeVar("T")
 FAILURES = (Exception, SystemExit)  # a user's method may end the process, which is no success
+NOT_CHECKED, NOT_COMPUTED = "cannot be checked", "cannot be computed again"  # of checks that were not made
 SAYS_ENOUGH = (ValueError, OSError, NotApplicableError)  # their message needs no type
 
 
@@ -34,7 +35,7 @@ class Problems:
         except NotCheckedError:
             raise
         except FAILURES as error:
-            self._add(f"{what} cannot be checked: {reason(error)}")
+            self._add(f"{what} {NOT_CHECKED}: {reason(error)}")
             return False
         return True
 

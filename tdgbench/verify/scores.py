@@ -20,6 +20,7 @@ from tdgbench.scoring import RenderedImages, Scores, mean_scores
 from tdgbench.scoring.backbones import BackboneUnavailableError
 from tdgbench.scoring.metric import ImageMetric, Metric, MetricError
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
+from tdgbench.verify.problems import NOT_COMPUTED
 
 TOLERANCE = 1e-6  # of means
 
@@ -103,7 +104,7 @@ def _view_problems(
         value = metric.score(shown)
     except (NotApplicableError, MetricError) as error:
         if stored is not None:
-            yield f"{metric.name} cannot be computed again: {error}"
+            yield f"{metric.name} {NOT_COMPUTED}: {error}"
         return None
     if row is not None and not _is_verified(metric, value, stored):
         name = shown.view.name
