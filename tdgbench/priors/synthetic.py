@@ -1,4 +1,4 @@
-"""Prior of a synthetic scene: its true depth with the errors of a monocular network."""
+"""Prior of a synthetic scene: its true depth with made-up errors of the kinds that a monocular network makes."""
 
 from __future__ import annotations
 
