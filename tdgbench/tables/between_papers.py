@@ -86,8 +86,8 @@ def gain_against_spread(main: pd.DataFrame, metrics: list[str]) -> str:
         total, there, spread = (f"{value:.{digits(metric, OVERALL)}f}{MEASURES[metric].suffix}" for value in numbers)
         compared = "larger than" if mean > shared.spread else "smaller than"
         sentences.append(
-            f"the gain in {metric} is {total}; over the {shared.scenes} scenes that papers share it is {there}, "
-            f"{'equal to' if np.isclose(mean, shared.spread) else compared} the {spread} between papers"
+            f"the gain in {MEASURES[metric].label} is {total}; over the {shared.scenes} scenes that papers share it is "
+            f"{there}, {'equal to' if np.isclose(mean, shared.spread) else compared} the {spread} between papers"
         )
     return "; ".join(sentences)
 

@@ -44,7 +44,7 @@ def test_averages_are_compared_over_shared_scenes_only():
 def test_the_papers_gains_against_the_spread():
     overall = gain_against_spread(published_main(), ["psnr", "train_hours"])
     assert overall == (
-        "the gain in psnr is 0.24 dB; over the 7 scenes that papers share it is 0.43 dB, smaller than the 0.47 dB "
+        "the gain in PSNR is 0.24 dB; over the 7 scenes that papers share it is 0.43 dB, smaller than the 0.47 dB "
         "between papers"
     )
 

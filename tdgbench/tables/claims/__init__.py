@@ -15,7 +15,15 @@ from pydantic import TypeAdapter
 
 from tdgbench.tables.between_papers import gain_against_spread
 from tdgbench.tables.claims import cell_checks, table_checks
-from tdgbench.tables.claims.evidence import UNDECIDED, Claim, ClaimEvidence, Finding, JudgedClaim, MissingError
+from tdgbench.tables.claims.evidence import (
+    UNDECIDED,
+    Claim,
+    ClaimEvidence,
+    Finding,
+    JudgedClaim,
+    MissingError,
+    on_built_in,
+)
 from tdgbench.tables.claims.quantities import QUANTITIES
 from tdgbench.tables.published import FOLDER, published_ablation, published_main
 
@@ -77,7 +85,8 @@ def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
         parts += [evidence.note, open_ if verdict == UNDECIDED else ""]
     if claim.gain:
         parts.append(gain_against_spread(evidence.main, claim.metrics or [claim.metric]))
-    return Finding(verdict, "; ".join(part for part in parts if part))
+    found = Finding(verdict, "; ".join(part for part in parts if part))
+    return on_built_in(found, evidence.published_cells if check.of_tables else ())
 
 
 def judge_claims(ours: ClaimEvidence | None, claims: Sequence[Claim] | None = None) -> list[JudgedClaim]:

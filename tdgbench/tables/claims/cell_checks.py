@@ -1,12 +1,12 @@
 """Checks that compare trained cells pair by pair. Where the paper prints no such number, only our results decide.
 
-Each gain has its 95 % interval (`pairs.gain_interval`) and is judged against the claim's margin (`pairs.judge_gain`).
-Gains at different numbers of iterations are judged separately.
+Each gain has its 95 % interval (`pairs.gain_interval`) and is judged against the claim's margin (`pairs.judge_gain`),
+by the longest trainings of two methods (`evidence.decisive`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -24,16 +24,25 @@ from tdgbench.tables.claims.cell_pairs import (
     judge_gain,
     make_pairs,
 )
-from tdgbench.tables.claims.evidence import UNDECIDED, Claim, ClaimEvidence, Finding, MissingError
+from tdgbench.tables.claims.evidence import (
+    UNDECIDED,
+    Claim,
+    ClaimEvidence,
+    Finding,
+    MissingError,
+    decisive,
+    on_built_in,
+)
 from tdgbench.tables.claims.quantities import QUANTITIES, Quantity
 from tdgbench.tables.results import Cell
 from tdgbench.tables.statistics import with_interval
+from tdgbench.text import named
 
 COLMAP: Final = "colmap"
 
 
 def better(claim: Claim, evidence: ClaimEvidence) -> Finding:
-    """Check that each of `methods` is better than each of `against` at equal iterations, from COLMAP points.
+    """Check that each of `methods` is better than each of `against` at the most equal iterations, from COLMAP points.
 
     margins: the least gain in each quantity: a difference in its unit, or a share where two cells are compared by
     their ratio (0.1: 10 % less). Combinations without pairs do not count.
@@ -54,11 +63,12 @@ def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
     if evidence.printed:
         return table_checks.average_gains(claim, evidence)
     _need_cells(claim, evidence)
-    pairs = [CellPair(*pair) for pair in evidence.published_pairs]
+    chosen, left_out = evidence.published_pairs
+    pairs = [CellPair(*pair) for pair in chosen]
     findings = [part for metric in claim.metrics for part in _gain(claim, QUANTITIES[metric], 0.0, pairs)]
     if not findings:
-        raise MissingError(f"no pair of {' and '.join(methods.paper_pair())}")
-    return all_of(findings)
+        raise MissingError(f"no pair of {named(map(methods.label, methods.paper_pair()))}")
+    return _with_notes(all_of(findings), [left_out], pairs)
 
 
 def better_init(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -94,19 +104,25 @@ def attributed(claim: Claim, evidence: ClaimEvidence) -> Finding:
     links = _links(evidence)
     if not links:
         raise MissingError("no cells of tdg, 3dgs_smooth (TDg without depth) and msmg on one machine")
-    scenes = [scene for scene, _ in links]
-    chain = np.array([link for _, link in links])
+    links, left_out = decisive(links)
+    scenes = [cells[0].dataset_and_scene for cells in links]
+    logs = np.log([[cell.record.seconds["train"] for cell in cells] for cells in links])
+    chain = logs[:, :-1] - logs[:, 1:]
     total = gain_interval(scenes, chain.sum(axis=1))
-    times = f"time TDg / MSMG {_ratio_text(total)}, {counts_in_words(total)}"
+    lengths = " and ".join(dict.fromkeys(str(links[0][end].planned_iterations) for end in (-1, 0)))
+    times = f"time TDg / MSMG at {lengths} {_ratio_text(total)}, {counts_in_words(total)}"
+    all_cells = [cell for cells in links for cell in cells]
     if not total.low > 0:
-        return Finding(UNDECIDED, f"no sure speed-up to attribute: {times}")
+        found = Finding(UNDECIDED, f"no sure speed-up to attribute: {times}")
+        return _with_notes(found, [left_out], [all_cells])
     named = zip(("fewer iterations", "no RGB model", "depth"), chain.T, strict=True)
     shares = [
         f"{name} {100 * gain_interval(scenes, link).mean / total.mean:.0f} %" for name, link in named if link.any()
     ]
     depth = gain_interval(scenes, chain[:, 2])
     grounds = f"{times}; of its logarithm {', '.join(shares)}; depth alone multiplies time by {_ratio_text(depth)}"
-    return Finding(judge_gain(gain_interval(scenes, chain[:, 2] - claim.share * chain.sum(axis=1)), 0.0), grounds)
+    verdict = judge_gain(gain_interval(scenes, chain[:, 2] - claim.share * chain.sum(axis=1)), 0.0)
+    return _with_notes(Finding(verdict, grounds), [left_out], [all_cells])
 
 
 def _need_cells(claim: Claim, evidence: ClaimEvidence) -> None:
@@ -119,19 +135,39 @@ def _need_cells(claim: Claim, evidence: ClaimEvidence) -> None:
 
 def _compare(claim: Claim, evidence: ClaimEvidence, sides: Sequence[tuple[Side, Side]]) -> Finding:
     _need_cells(claim, evidence)
-    findings = []
+    counts_gaussians = any(QUANTITIES[name].counts_gaussians for name in claim.margins)
+    findings: list[Finding] = []
+    judged: list[CellPair] = []
+    notes: list[str] = []
     for mine, other in sides:
         pairs = make_pairs(evidence, mine, other)
-        for name, margin in claim.margins.items():
-            for budget in sorted({pair.mine.planned_iterations for pair in pairs}):
-                findings += _gain(
-                    claim, QUANTITIES[name], margin, [p for p in pairs if p.mine.planned_iterations == budget]
-                )
+        grown = [pair for pair in pairs if not counts_gaussians or all(map(_has_density_control, pair))]
+        chosen, left_out = decisive(grown)
+        parts = [part for name, margin in claim.margins.items()
+                 for part in _gain(claim, QUANTITIES[name], margin, chosen)]  # fmt: skip
+        if parts:
+            findings, judged = findings + parts, judged + chosen
+            notes.append(left_out)
+        if len(grown) < len(pairs):
+            notes.append("left out: trainings that ended before density control began")
     if not findings:
         sought = " or ".join(dict.fromkeys(f"{_name(a, b)} and {_name(b, a)}" for a, b in sides))
-        raise MissingError(f"no pair of {sought} with {', '.join(QUANTITIES[name].label for name in claim.margins)}")
-    result = all_of(findings)
-    return Finding(result.verdict, "; ".join([result.grounds, *([claim.note] if claim.note else [])]))
+        missing = f"no pair of {sought} with {', '.join(QUANTITIES[name].label for name in claim.margins)}"
+        raise MissingError("; ".join([missing, *dict.fromkeys(filter(None, notes))]))
+    return _with_notes(all_of(findings), [*notes, claim.note], judged)
+
+
+def _with_notes(finding: Finding, notes: Iterable[str], compared: Iterable[Iterable[Cell]]) -> Finding:
+    """Return the finding on compared cells with notes behind it, each once."""
+    grounds = "; ".join(filter(None, dict.fromkeys([finding.grounds, *notes])))
+    return on_built_in(Finding(finding.verdict, grounds), [cell for cells in compared for cell in cells])
+
+
+def _has_density_control(cell: Cell) -> bool:
+    """Return whether a training was long enough for its density control to have begun."""
+    start, every = (cell.record.setting(f"budget.density.{name}") for name in ("start", "every"))
+    known = isinstance(start, int) and isinstance(every, int)
+    return not known or cell.planned_iterations // every * every > start
 
 
 def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[CellPair]) -> list[Finding]:
@@ -146,7 +182,9 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[CellP
     names = f"{_name(mine, other)} {'/' if quantity.ratio else '−'} {_name(other, mine)}"
     lengths = " and ".join(str(budget) for budget in dict.fromkeys(cell.planned_iterations for cell in cells))
     value = _ratio_text(gain) if quantity.ratio else _difference_text(gain, quantity)
-    grounds = f"{quantity.label}, {names} at {lengths}: {value}, {counts_in_words(gain)}"
+    machines = len({pair.mine.machine for pair, _ in both}) if quantity.timed else 1
+    several = f" on {machines} machines or numbers of threads" if machines > 1 else ""
+    grounds = f"{quantity.label}, {names} at {lengths}: {value}, {counts_in_words(gain)}{several}"
     return [Finding(judge_gain(gain, quantity.least_gain(margin)), grounds)]
 
 
@@ -162,7 +200,8 @@ def _pairs_with(
 
 def _name(side: Side, other: Side) -> str:
     """Return the method; where both sides are one method, with its initial points."""
-    return side.method if side.method != other.method else f"{side.method} from {side.init}"
+    label = methods.label(side.method)
+    return label if side.method != other.method else f"{label} from {side.init}"
 
 
 def _ratio_text(gain: Interval) -> str:
@@ -177,22 +216,20 @@ def _difference_text(gain: Interval, quantity: Quantity) -> str:
     return with_interval(f"{mean:{form}}{quantity.unit}", low, high, form)
 
 
-def _links(evidence: ClaimEvidence) -> list[tuple[tuple[str, str], tuple[float, float, float]]]:
-    """Return scene and log time ratios of each link of the chain from MSMG to TDg, for each setup, seed and machine."""
+def _links(evidence: ClaimEvidence) -> list[tuple[Cell, Cell, Cell, Cell]]:
+    """Return the cells of the chain from MSMG to TDg, for each setup, seed and machine."""
     times: dict[tuple[str, int, tuple[str, ...]], dict[str, dict[int, Cell]]] = {}
     longest = {setup: length for (method, setup), length in evidence.published_lengths.items() if method == "msmg"}
     for setup, cell in evidence.placed:
         if cell.record.init == COLMAP and cell.record.seconds.get("train"):
             of_method = times.setdefault((setup, cell.record.seed, cell.machine), {})
             of_method.setdefault(cell.record.method, {}).setdefault(cell.planned_iterations, cell)
-    ratios = []
+    links = []
     for (setup, _, _), by_method in times.items():
         tdg, smooth, msmg = (by_method.get(method, {}) for method in ("tdg", "3dgs_smooth", "msmg"))
         equal = tdg.keys() & smooth.keys() & msmg.keys()
         if not equal or min(equal) != min(tdg) or longest[setup] not in msmg:
             continue
         length = min(equal)
-        chain = (msmg[longest[setup]], msmg[length], smooth[length], tdg[length])
-        logs = [np.log(cell.record.seconds["train"]) for cell in chain]
-        ratios.append((chain[0].dataset_and_scene, (logs[0] - logs[1], logs[1] - logs[2], logs[2] - logs[3])))
-    return ratios
+        links.append((msmg[longest[setup]], msmg[length], smooth[length], tdg[length]))
+    return links

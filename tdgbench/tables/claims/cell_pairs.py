@@ -86,11 +86,12 @@ def all_of(findings: Sequence[Finding]) -> Finding:
 
 
 def counts_in_words(gain: Interval) -> str:
-    """Return the numbers of pairs and scenes.
+    """Return the number of pairs, and what the interval is over.
 
     >>> counts_in_words(Interval(0.5, 0.4, 0.6, pairs=12, scenes=4))
-    '12 pairs in 4 scenes'
+    '95 % interval over 4 scenes of 12 pairs'
     """
-    one = "one pair has no interval; " if not np.isfinite(gain.low) else ""
-    pairs, scenes = (f"{n} {word}{'s' if n > 1 else ''}" for n, word in ((gain.pairs, "pair"), (gain.scenes, "scene")))
-    return f"{one}{pairs} in {scenes}"
+    if not np.isfinite(gain.low):
+        return "one pair has no interval"
+    over = f"{gain.scenes} scenes of {gain.pairs} pairs" if gain.scenes > 1 else f"{gain.pairs} pairs of one scene"
+    return f"95 % interval over {over}"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import pandas as pd
 from pydantic import ConfigDict
@@ -21,9 +20,12 @@ from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages
 from tdgbench.tables.measures import AVERAGE, KEYS, OVERALL
 from tdgbench.tables.results import Cell, read_results
 from tdgbench.tables.statistics import seed_values
+from tdgbench.text import named
 
 HOLDS, FAILS, UNDECIDED = "holds", "fails", "undecided"
 THE_PAPER = "TDg"  # of claims that name none
+BUILT_IN = "synthetic"  # begins the names of the built-in data sets
+Cells = TypeVar("Cells", bound=tuple[Cell, ...])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +120,10 @@ class ClaimEvidence:
     @property
     def is_of_one_seed(self) -> bool:
         """True if a number of our main table is of one seed."""
-        seeds = Counter((c.record.method, c.dataset_and_scene) for c in self.published_cells)
-        return min(seeds.values(), default=2) < 2
+        seeds: dict[object, set[int]] = {}
+        for cell in self.published_cells:
+            seeds.setdefault((cell.record.method, cell.dataset_and_scene), set()).add(cell.record.seed)
+        return min(map(len, seeds.values()), default=2) < 2
 
     @property
     def is_of_paper(self) -> bool:
@@ -146,10 +150,11 @@ class ClaimEvidence:
         return lengths
 
     @cached_property
-    def published_pairs(self) -> list[tuple[Cell, Cell]]:
-        """The cells of the main table: the paper's method and its baseline from COLMAP points, at `published_lengths`.
+    def published_pairs(self) -> tuple[list[tuple[Cell, Cell]], str]:
+        """The cells of the main table, and in words which are left out: see `decisive`.
 
-        Only setups and seeds that both methods have count.
+        They are of the paper's method and its baseline from COLMAP points, at `published_lengths`. Only setups and
+        seeds that both methods have count.
         """
         new: dict[tuple[str, int], Cell] = {}
         old: dict[tuple[str, int], Cell] = {}
@@ -158,12 +163,12 @@ class ClaimEvidence:
             if cell.record.init == "colmap" and self.published_lengths.get((method, setup)) == cell.planned_iterations:
                 chosen = new if method == methods.paper_pair().method else old
                 chosen.setdefault((setup, cell.record.seed), cell)
-        return [(cell, old[place]) for place, cell in new.items() if place in old]
+        return decisive([(cell, old[place]) for place, cell in new.items() if place in old])
 
     @property
     def published_cells(self) -> list[Cell]:
         """The cells of `published_pairs`, method by method."""
-        return [pair[side] for side in (0, 1) for pair in self.published_pairs]
+        return [pair[side] for side in (0, 1) for pair in self.published_pairs[0]]
 
 
 def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
@@ -187,7 +192,40 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     plan = Plan(methods=list(methods.paper_pair()) if chosen else [])
     rows = cell_rows([replace(cell.record, variant="") for cell in chosen], plan)
     main, by_seed = with_averages(scene_rows(rows)), seed_values(rows) if chosen else None
-    return replace(evidence, main=main, note=_lengths(chosen), by_seed=by_seed)
+    note = "; ".join(filter(None, [_lengths(chosen), evidence.published_pairs[1]]))
+    return replace(evidence, main=main, note=note, by_seed=by_seed)
+
+
+def decisive(compared: Sequence[Cells]) -> tuple[list[Cells], str]:
+    """Return which of the compared cells decide a claim, and in words which are left out; empty if none are.
+
+    Those of captures, unless all are of built-in scenes, and of these, the longest trainings.
+    """
+    captures = [cells for cells in compared if not _is_built_in(cells)]
+    kept = captures or list(compared)
+    lengths = [tuple(cell.planned_iterations for cell in cells) for cells in kept]
+    longest = max(lengths, key=lambda each: (sum(each), each), default=())
+    shorter = [" and ".join(map(str, sorted(set(each)))) for each in sorted({*lengths} - {longest})]
+    left_out = ["built-in scenes"] if len(kept) < len(compared) else []
+    left_out += [f"trainings of {' or '.join(shorter)} iterations"] if shorter else []
+    chosen = [cells for cells, each in zip(kept, lengths, strict=True) if each == longest]
+    return chosen, f"left out: {', '.join(left_out)}" if left_out else ""
+
+
+def on_built_in(finding: Finding, cells: Iterable[Cell]) -> Finding:
+    """Return the finding on cells that `decisive` chose: on built-in scenes undecided, with what it is there."""
+    cells = list(cells)
+    if not cells or not _is_built_in(cells):
+        return finding
+    known = {methods.label(c.record.method) for c in cells if (c.record.prior or {}).get("made_from") == "truth"}
+    prior = f" and the depth prior of {named(sorted(known))} is made from true depth" if known else ""
+    verdict = f"is {UNDECIDED}" if finding.verdict == UNDECIDED else finding.verdict
+    where = f"the scenes are built in{prior}: no evidence on a paper; there it {verdict}"
+    return Finding(UNDECIDED, f"{where}: {finding.grounds}")
+
+
+def _is_built_in(cells: Iterable[Cell]) -> bool:
+    return all(cell.record.dataset.startswith(BUILT_IN) for cell in cells)
 
 
 def _is_plain(record: Record) -> bool:

@@ -28,6 +28,7 @@ class Quantity:
 
     ratio: two cells are compared by their ratio (lower is better), else by their difference. higher: whether higher is
     better. digits: of a difference. timed: it depends on the machine, so only cells of one machine compare.
+    counts_gaussians: it is that of initial points until density control begins.
     """
 
     label: str
@@ -37,6 +38,7 @@ class Quantity:
     digits: int = 4
     unit: str = ""
     timed: bool = False
+    counts_gaussians: bool = False
 
     @property
     def sign(self) -> int:
@@ -91,7 +93,12 @@ def _changes(cell: Cell, _claim: Claim, names: tuple[str, ...]) -> float | None:
 def _metric(metric: str) -> Quantity:
     measure = MEASURES[metric]
     places, numbers = measure.digits if measure.unit else 4, _of_measure(metric)
-    return Quantity(metric, numbers, higher=measure.higher_is_better, digits=places, unit=measure.suffix)
+    label = measure.label + " of the RGB model" * metric.startswith("rgb_")
+    return Quantity(label, numbers, higher=measure.higher_is_better, digits=places, unit=measure.suffix)
+
+
+def _count(label: str, number: NumberOf) -> Quantity:
+    return Quantity(label, _of_each(number), ratio=True, counts_gaussians=True)
 
 
 def time_to_level(mine: Cell, other: Cell, claim: Claim, column: str) -> tuple[float, float] | None:
@@ -157,8 +164,8 @@ def _around_switch(cell: Cell, window: float, column: str) -> tuple[pd.Series, p
 
 QUANTITIES: dict[str, Quantity] = {
     **{metric: _metric(metric) for metric in METRICS},
-    "lpips": Quantity("lpips", _of_measure("lpips"), ratio=True),
-    "dssim": Quantity("1 − ssim", _of_each(lambda cell, _: 1 - _measured(cell, "ssim")), ratio=True),
+    "lpips": Quantity("LPIPS", _of_measure("lpips"), ratio=True),
+    "dssim": Quantity("1 − SSIM", _of_each(lambda cell, _: 1 - _measured(cell, "ssim")), ratio=True),
     "train_psnr": Quantity("PSNR of training views", _of_measure("train_psnr"), higher=True, digits=2, unit=" dB"),
     "overfit": Quantity(
         "PSNR of training − test views",
@@ -171,11 +178,9 @@ QUANTITIES: dict[str, Quantity] = {
     "train_hours": Quantity(
         "training time", _of_each(lambda cell, _: cell.record.seconds.get("train")), ratio=True, timed=True
     ),
-    "added": Quantity("clones and splits", _of_each(partial(_changes, names=("cloned", "split"))), ratio=True),
-    "pruned": Quantity("prunes", _of_each(partial(_changes, names=("pruned",))), ratio=True),
-    "gaussians": Quantity(
-        "Gaussians at the end", _of_each(lambda cell, _: cell.record.gaussians.get("thermal")), ratio=True
-    ),
+    "added": _count("clones and splits", partial(_changes, names=("cloned", "split"))),
+    "pruned": _count("prunes", partial(_changes, names=("pruned",))),
+    "gaussians": _count("Gaussians at the end", lambda cell, _: cell.record.gaussians.get("thermal")),
     "iterations_to_level": Quantity("iterations to the level", partial(time_to_level, column="iteration"), ratio=True),
     "seconds_to_level": Quantity(
         "seconds to the level", partial(time_to_level, column="seconds"), ratio=True, timed=True

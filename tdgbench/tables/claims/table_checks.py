@@ -77,7 +77,7 @@ def averages(claim: Claim, evidence: ClaimEvidence) -> Finding:
 def average_gains(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better in the average of each of `metrics`."""
     gains = [_overall(evidence, metric) for metric in claim.metrics]
-    grounds = ", ".join(f"{gain.metric} {gain.percent:+.2f} %" for gain in gains)
+    grounds = ", ".join(f"{_label(gain.metric)} {gain.percent:+.2f} %" for gain in gains)
     label = methods.label(methods.paper_pair().method)
     return _decided(min(gain.percent for gain in gains) > 0, f"{label} is better by {grounds}")
 
@@ -102,7 +102,7 @@ def better_scenes(claim: Claim, evidence: ClaimEvidence) -> Finding:
         return all(len(found) <= claim.exceptions.get(metric, 0) for metric, found in of.items())
 
     not_surely, worse = exceptions([g for g in gains if g.low <= 0]), exceptions([g for g in gains if g.high <= 0])
-    parts = [f"{metric}: {', '.join(found)}" for metric, found in not_surely.items() if found]
+    parts = [f"{_label(metric)}: {', '.join(found)}" for metric, found in not_surely.items() if found]
     word = "not better" if evidence.printed else "not surely better"
     return Finding.decided(few(not_surely), few(worse), f"{word}: {'; '.join(parts)}" if parts else "better everywhere")
 
@@ -111,7 +111,7 @@ def better_mostly(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better in most scenes × metrics. Equal (printed) values are no gain."""
     gains = _gains(claim, evidence, claim.metrics)
     better, open_ = [gain.metric for gain in gains if gain.low > 0], _open(gains)
-    by_metric = ", ".join(f"{metric} {better.count(metric)}" for metric in claim.metrics)
+    by_metric = ", ".join(f"{_label(metric)} {better.count(metric)}" for metric in claim.metrics)
     word = "equal" if evidence.printed else "undecided"
     grounds = f"better in {len(better)} of {len(gains)} scenes × metrics, {word} in {open_} ({by_metric})"
     possibly = sum(gain.high > 0 for gain in gains) > len(gains) / 2
@@ -147,9 +147,9 @@ def ablation_drop(claim: Claim, evidence: ClaimEvidence) -> Finding:
     for method in claim.methods:
         by_init = _by_init(evidence, method, "psnr")
         if not {"random", "colmap"} <= set(by_init.index):
-            raise MissingError(f"no PSNR of {method} from random and from COLMAP points")
+            raise MissingError(f"no PSNR of {methods.label(method)} from random and from COLMAP points")
         drops[method] = float(by_init["colmap"] - by_init["random"])
-    grounds = ", ".join(f"{method} loses {drop:.2f} dB" for method, drop in drops.items())
+    grounds = ", ".join(f"{methods.label(method)} loses {drop:.2f} dB" for method, drop in drops.items())
     return _decided(min(drops.values()) >= claim.drop, grounds)
 
 
@@ -162,7 +162,8 @@ def ablation_agrees(claim: Claim, evidence: ClaimEvidence) -> Finding:
         for method in methods.paper_pair():
             there, here = _by_init(evidence, method, metric), _value(evidence, method, evidence.overall, metric)
             if abs(there["colmap"] - here) > 2 * _tolerance(evidence, metric, OVERALL):
-                off.append(f"{method} {metric}: {there['colmap']} in the ablation, {here} in the main table")
+                what = f"{methods.label(method)} {_label(metric)}"
+                off.append(f"{what}: {there['colmap']} in the ablation, {here} in the main table")
     return _decided(not off, "; ".join(off) if off else "the same in both tables")
 
 
@@ -176,7 +177,7 @@ def averages_follow(_claim: Claim, evidence: ClaimEvidence) -> Finding:
     for row in checked[checked["verdict"] == UNKNOWN].itertuples():
         raise MissingError(f"{row.scene} of {row.dataset or 'all'} cannot be recomputed")
     off = [
-        f"{row.method} {row.dataset} {row.metric}: {row.mean:.4f}, not {row.printed}"
+        f"{methods.label(row.method)} {row.dataset} {_label(row.metric)}: {row.mean:.4f}, not {row.printed}"
         for row in checked[checked["verdict"] == OFF].itertuples()
     ]
     return _decided(not off, "; ".join(off) if off else f"all {len(checked)} follow, within rounding")
@@ -195,7 +196,9 @@ def bold_follows(_claim: Claim, evidence: ClaimEvidence) -> Finding:
     ]
     by_row = pd.Series(goodness, table.index).groupby([table["dataset"], table["scene"], table["metric"]])
     best = (by_row.rank(method="max", ascending=False) == 1) & (by_row.transform("count") > 1)
-    places = list(dict.fromkeys(f"{row.scene} {row.metric}" for row in table[best != table["bold"]].itertuples()))
+    places = list(
+        dict.fromkeys(f"{row.scene} {_label(row.metric)}" for row in table[best != table["bold"]].itertuples())
+    )
     return _decided(not places, ", ".join(places) if places else "every mark follows")
 
 
@@ -255,12 +258,16 @@ def _decided(holds: bool, grounds: str) -> Finding:
     return Finding.decided(holds, holds, grounds)
 
 
+def _label(metric: str) -> str:
+    return measures.MEASURES[metric].label
+
+
 def _value(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> float:
     table = evidence.main
     chosen = (table["method"] == method) & (table["scene"] == scene) & (table["metric"] == metric)
     values = table[chosen]["value"].dropna()
     if len(values) != 1:
-        raise MissingError(f"no {metric} of {method} at {scene}")
+        raise MissingError(f"no {_label(metric)} of {methods.label(method)} at {scene}")
     return float(values.iloc[0])
 
 

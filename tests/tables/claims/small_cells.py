@@ -25,7 +25,7 @@ def cell(folder: Path, method="tdg", gain=0.0, *, scene="a", seed=0, init="colma
     The depth loss ends at half of the iterations, where training PSNR dips by 1 − gain dB and the thermal loss rises.
     """
     less = 0.5**gain
-    record = Record(method, "synthetic", scene, init, seed, "made", "", iterations=iterations)
+    record = Record(method, "mine", scene, init, seed, "made", "", iterations=iterations)
     record.config = {"method": {"method": {"decay_end": 0.5}}, "budget": {"iterations": iterations}}
     record.scores = {
         "psnr": 30 + 3 * gain, "ssim": 1 - 0.1 * less, "lpips": 0.1 * less, "rgb_psnr": 30 + 3 * gain,

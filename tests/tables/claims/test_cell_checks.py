@@ -43,7 +43,7 @@ def test_claims_that_compare_methods(tmp_path, name, gains, verdict):
     claim = CLAIMS[name]
     found = check_claim(claim, ours(*sides(tmp_path, claim, gains)))
     assert found.verdict == verdict, found.grounds
-    expected = "one pair has no interval" if len(gains) == 1 else "3 pairs in 3 scenes"
+    expected = "one pair has no interval" if len(gains) == 1 else "95 % interval over 3 scenes of 3 pairs"
     assert expected in found.grounds and claim.note in found.grounds
     assert check_claim(claim, ours(*sides(tmp_path, replace(claim, against=[]), gains[:1]))).verdict == UNDECIDED
 
@@ -65,7 +65,7 @@ def test_only_cells_of_equal_size_decide_what_depth_saves(tmp_path):
 
     claim = CLAIMS["depth-saves-gaussians"]
     found = check_claim(claim, sized(1.0, 600, 600))
-    assert found.verdict == HOLDS and "3 pairs in 3 scenes" in found.grounds
+    assert found.verdict == HOLDS and "over 3 scenes of 3 pairs" in found.grounds
     assert check_claim(claim, sized(-1.0, 600, 600)).verdict == FAILS
     for evidence in (sized(1.0, 600, 599), sized(2.0, None, 600)):
         assert "no cells of ours at equal numbers" in check_claim(claim, evidence).grounds
@@ -73,22 +73,45 @@ def test_only_cells_of_equal_size_decide_what_depth_saves(tmp_path):
     assert "score at an equal number" in check_claim(claim, PUBLISHED).grounds
 
 
-def test_lengths_are_judged_apart_and_all_have_to_hold(tmp_path):
+def test_the_longest_trainings_decide(tmp_path):
     claim = CLAIMS["depth-better"]
     short = sides(tmp_path, claim, (1.0, 1.1, 0.9))
     assert check_claim(claim, ours(*short)).verdict == HOLDS
     found = check_claim(claim, ours(*short, *sides(tmp_path, claim, (-1.0, -1.1, -0.9), iterations=3000)))
-    assert found.verdict == FAILS
-    assert "psnr, tdg − 3dgs_smooth at 1000: +3.00 dB (+2.25 to +3.75), 3 pairs in 3 scenes (holds)" in found.grounds
-    assert "psnr, tdg − 3dgs_smooth at 3000: -3.00 dB (-3.75 to -2.25), 3 pairs in 3 scenes (fails)" in found.grounds
+    assert found.verdict == FAILS and found.grounds.endswith("; left out: trainings of 1000 iterations")
+    assert "PSNR, TDg − 3DGS, smooth at 3000: -3.00 dB (-3.75 to -2.25), 95 % interval over 3 scenes" in found.grounds
+    assert "at 1000" not in found.grounds
+
+
+def test_gaussians_count_where_density_control_has_begun(tmp_path):
+    claim = CLAIMS["msmg-densifies"]
+    cells = sides(tmp_path, claim, (1.0, 1.1, 0.9))
+    for one in cells:
+        one.record.config["budget"]["density"] = {"start": 950, "every": 100}  # first at 1000
+    assert check_claim(claim, ours(*cells)).verdict == HOLDS
+    for one in cells:
+        one.record.config["budget"]["density"]["start"] = 1000
+    found = check_claim(claim, ours(*cells))
+    assert found.verdict == UNDECIDED and found.grounds.endswith("ended before density control began")
+
+
+def test_built_in_scenes_decide_no_claim(tmp_path):
+    claim = CLAIMS["depth-better"]
+    made = sides(tmp_path, claim, (1.0, 1.1, 0.9), dataset="synthetic", prior={"made_from": "truth"})
+    found = check_claim(claim, ours(*made))
+    assert (
+        found.verdict == UNDECIDED and "made from true depth: no evidence on a paper; there it holds" in found.grounds
+    )
+    found = check_claim(claim, ours(*made, *sides(tmp_path, claim, (-1.0, -1.1, -0.9))))
+    assert found.verdict == FAILS and found.grounds.endswith("left out: built-in scenes")
 
 
 def test_differences_of_what_should_be_low_are_shown_as_they_are(tmp_path):
     claim = CLAIMS["fewer-floaters"]
     grounds = check_claim(claim, ours(*sides(tmp_path, claim, (1.0, 1.1, 0.9)))).grounds
-    assert "floaters, tdg − 3dgs_smooth at 1000: -0.1000 (-0.1248 to -0.0752)" in grounds
+    assert "floaters, TDg − 3DGS, smooth at 1000: -0.1000 (-0.1248 to -0.0752)" in grounds
     grounds = check_claim(CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (1.0, 1.0)))).grounds
-    assert "prunes, tdg / 3dgs_smooth at 1000: 0.50 (0.50 to 0.50), 2 pairs in 2 scenes" in grounds
+    assert "prunes, TDg / 3DGS, smooth at 1000: 0.50 (0.50 to 0.50), 95 % interval over 2 scenes of 2 pairs" in grounds
 
 
 def test_geometry_of_real_scenes_is_judged_by_consistency(tmp_path):
@@ -106,7 +129,7 @@ def test_times_of_other_machines_do_not_compare(tmp_path):
     for one in cells:
         one.record.environment = {"cpu": one.record.method}
     found = check_claim(claim, ours(*cells))
-    assert found.verdict == UNDECIDED and found.grounds.startswith("no pair of msmg_thermal and msmg")
+    assert found.verdict == UNDECIDED and found.grounds.startswith("no pair of MSMG's thermal model and MSMG")
 
 
 def test_shares_below_the_margin_fail(tmp_path):
@@ -136,7 +159,7 @@ def test_random_points(tmp_path, name):
         (tmp_path / folder).mkdir()
         found = check_claim(CLAIMS[name], ours(*by_init(tmp_path / folder, gains)))
         assert found.verdict == verdict, found.grounds
-        assert "random_box" not in gains or "from colmap − msmg from random_box at 1000" in found.grounds
+        assert "random_box" not in gains or "from colmap − MSMG from random_box at 1000" in found.grounds
     assert found.grounds == "no cells from random points"
     unclear = by_init(tmp_path, {"random": -3.0})
     for one in unclear:
@@ -160,7 +183,7 @@ def test_random_fails_as_printed():
     ablation = published_ablation()
     ablation.loc[(ablation["method"] == "tdg") & (ablation["init"] == "random"), "value"] = 25.0
     found = check_claim(CLAIMS["random-fails"], ClaimEvidence(published_main(), ablation, True))
-    assert found.verdict == FAILS and "tdg loses 2.42 dB" in found.grounds
+    assert found.verdict == FAILS and "TDg loses 2.42 dB" in found.grounds
     assert check_claim(CLAIMS["random-fails"], ClaimEvidence(published_main(), None, True)).verdict == UNDECIDED
 
 
@@ -194,7 +217,7 @@ def test_attribution_needs_a_sure_speed_up_and_every_link(tmp_path):
     claim = CLAIMS["speed-from-depth"]
     slow = {("msmg", 1000): 100.0, ("3dgs_smooth", 1000): 120.0, ("tdg", 1000): 140.0}
     found = check_claim(claim, ours(*chain(tmp_path, slow)))
-    assert found.verdict == UNDECIDED and "no sure speed-up to attribute: time TDg / MSMG 1.41" in found.grounds
+    assert found.verdict == UNDECIDED and "no sure speed-up to attribute: time TDg / MSMG at 1000 1.41" in found.grounds
     lacking = {("msmg", 3000): 100.0, ("3dgs_smooth", 1000): 50.0, ("tdg", 1000): 9.0}  # MSMG at 1000
     assert "no cells of tdg, 3dgs_smooth" in check_claim(claim, ours(*chain(tmp_path, lacking))).grounds
 
@@ -213,5 +236,5 @@ def test_better_overall_is_decided_on_pairs(tmp_path):
             cells.append(cell(tmp_path / folder, "msmg", scene=scene, iterations=3000))
         found = check_claim(claim, ours(*cells))
         assert found.verdict == verdict, found.grounds
-        assert "psnr, tdg − msmg at 1000 and 3000" in found.grounds
+        assert "PSNR, TDg − MSMG at 1000 and 3000" in found.grounds
     assert check_claim(claim, PUBLISHED).verdict == HOLDS

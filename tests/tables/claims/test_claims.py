@@ -15,10 +15,10 @@ def test_the_published_tables_against_the_words():
     assert found.loc[found["published"] == UNDECIDED, "published_seen"].str.startswith("the paper prints no ").all()
     assert "+0.883 %; 0.01 is the fraction" in found.loc["psnr-better", "published_seen"]
     assert "Ebike 0.206 → 0.237" in found.loc["rgbt-better", "published_seen"]
-    assert found.loc["bold-follows", "published_seen"] == "Ebike lpips, RoadBlock ssim"
+    assert found.loc["bold-follows", "published_seen"] == "Ebike LPIPS, RoadBlock SSIM"
     assert found.loc["thermalmix-within", "published_seen"] == "at most -0.78 at Face"
     assert (found["ours"] == UNDECIDED).all()
-    assert "the gain in psnr is 0.24 dB; over the 7 scenes" in found.loc["better-overall", "published_seen"]
+    assert "the gain in PSNR is 0.24 dB; over the 7 scenes" in found.loc["better-overall", "published_seen"]
     assert "smaller than the 0.012 between papers" in found.loc["lpips-better", "published_seen"]
     assert "between papers" not in found.loc["time-percent", "published_seen"]
 

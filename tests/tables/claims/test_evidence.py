@@ -11,7 +11,7 @@ from tdgbench.tables.published import published_main
 from tests.helpers.records import write_record
 
 
-def write(experiment, method="tdg", psnr=30.0, scene="orbit", dataset="synthetic", iterations=1000, **fields):
+def write(experiment, method="tdg", psnr=30.0, scene="orbit", dataset="mine", iterations=1000, **fields):
     record = Record(method, dataset, scene, fields.pop("init", "colmap"), fields.pop("seed", 0), experiment.name,
                     fields.pop("variant", f"budget.iterations={iterations}"), iterations=iterations)  # fmt: skip
     record.config = {"budget": {"iterations": iterations}}
@@ -93,5 +93,5 @@ def test_one_seed_decides_no_claim_on_tables(tmp_path, seeds, verdict):
         write(tmp_path, "tdg", 30.0, seed=seed)
         write(tmp_path, "msmg", 29.9, seed=seed)
     claim = next(claim for claim in load_claims() if claim.id == "thermalmix-within")
-    found = check_claim(replace(claim, dataset="synthetic"), evidence_of([tmp_path]))
+    found = check_claim(replace(claim, dataset="mine"), evidence_of([tmp_path]))
     assert found.verdict == verdict and found.grounds.endswith("one seed decides nothing") == (seeds == 1)

@@ -45,10 +45,10 @@ def test_checks_that_tell_print_from_ours_can_turn():
     worse = changed("Average (Overall)", "lpips", "tdg", 0.178, printed=True)
     assert check_claim(CLAIMS["better-overall"], worse).verdict == FAILS
     lion = check_claim(CLAIMS["bold-follows"], changed("Lion", "psnr", "tdg", 99.0, printed=True))
-    assert lion.grounds == "Ebike lpips, RoadBlock ssim, Lion psnr"
+    assert lion.grounds == "Ebike LPIPS, RoadBlock SSIM, Lion PSNR"
     other = changed("Average (Overall)", "ssim", "msmg", 0.8891, printed=True)
     found = check_claim(CLAIMS["tables-agree"], other)
-    assert (found.verdict, found.grounds) == (FAILS, "msmg ssim: 0.8896 in the ablation, 0.8891 in the main table")
+    assert (found.verdict, found.grounds) == (FAILS, "MSMG SSIM: 0.8896 in the ablation, 0.8891 in the main table")
 
 
 def with_values(scenes, tdg, msmg, dataset="ThermalMix", printed=True):
@@ -61,7 +61,7 @@ def with_values(scenes, tdg, msmg, dataset="ThermalMix", printed=True):
 def test_most_cases_are_more_than_half():
     found = check_claim(CLAIMS["most-cases"], PUBLISHED)
     assert found.verdict == HOLDS
-    assert found.grounds == "better in 28 of 42 scenes × metrics, equal in 2 (psnr 10, ssim 8, lpips 10)"
+    assert found.grounds == "better in 28 of 42 scenes × metrics, equal in 2 (PSNR 10, SSIM 8, LPIPS 10)"
     two_of_three = with_values(["Lion", "Pan"], 0.9, 0.8)  # better PSNR and SSIM, worse LPIPS
     assert check_claim(CLAIMS["most-cases"], two_of_three).verdict == HOLDS
     assert check_claim(CLAIMS["most-cases"], with_values(["Lion", "Pan"], 0.8, 0.9)).verdict == FAILS
