@@ -20,7 +20,7 @@ def test_the_program_runs(tmp_path, monkeypatch):
         exec(compile(block, "docs/python.md", "exec"), names)
     scores = names["mean_scores"](names["scores"])
     assert scores["psnr"] > 10 and scores["lpips"] is None and "lpips" in names["scorer"].missing
-    assert names["outcome"].status == "ok" and names["record"].scores["psnr"] == scores["psnr"]  # the same seed
+    assert names["outcome"].status == "ok" and names["cell"].record.scores["psnr"] == scores["psnr"]  # the same seed
     shown = names["render_model"](names["gaussians"], names["camera"]).image
     assert torch.allclose(names["image"], shown, atol=1e-5)
     grad = names["leaves"].means.grad
