@@ -21,7 +21,7 @@ from tdgbench.tables.methods import MethodPair
 from tdgbench.tables.palette import IMAGES, values_over_scenes
 from tdgbench.tables.results import Cell
 from tdgbench.tables.statistics import mean_interval, seed_values
-from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE, load_margins
+from tdgbench.tables.verdicts import BETTER, NEVER, UNDECIDED, WORSE, load_margins
 
 FEWEST_SCENES = 5  # of a test over scenes: with fewer, no outcome could be below 5 %
 
@@ -57,7 +57,10 @@ class Change(NamedTuple):
 
 
 class MethodComparison(NamedTuple):
-    """A method against its baseline. changes: KEYS but method, fields of Change. paired: from `paired_tests`."""
+    """A method against its baseline. paired: from `paired_tests`.
+
+    changes: KEYS but method, fields of Change, and why there is no common seed, where the verdict is n/a.
+    """
 
     pair: MethodPair
     changes: pd.DataFrame
@@ -153,7 +156,26 @@ def _compare(pair: MethodPair, cells: pd.DataFrame, main: pd.DataFrame, finished
         for place in new.index
     ]
     changes = pd.DataFrame(rows, columns=[*KEYS[1:], *Change._fields])
+    reasons, is_none = main.set_index(KEYS)["reason"], changes["seeds"] == 0
+    changes["reason"] = ""
+    changes.loc[is_none, "reason"] = [_why_none(pair, place, reasons, unlike) for place in new.index[is_none]]
+    changes.loc[is_none, "verdict"] = NEVER
     return MethodComparison(pair, changes, paired_tests(changes, main[main["method"].isin(pair)]))
+
+
+def _why_none(
+    pair: MethodPair, place: tuple[str, ...], reasons: pd.Series, unlike: Collection[tuple[object, ...]]
+) -> str:
+    """Return why a pair has no seed in common. place: KEYS but the method. reasons: why a number is n/a, by KEYS."""
+    lacking = {method: why for method in pair if (why := reasons.get((method, *place), ""))}
+    if lacking:
+        return "; ".join(f"{methods.label(method)}: {why}" for method, why in lacking.items())
+    dataset, _, scene, metric = place
+    if (dataset, scene) in unlike:
+        return "unlike trainings"
+    if metric == HOURS.name and any(found[:2] == (dataset, scene) for found in unlike):
+        return "times of two machines"
+    return "no seed in common" if scene not in (AVERAGE, OVERALL) else "no seed in common that every scene has"
 
 
 def _unlike(pair: MethodPair, main: pd.DataFrame, finished: Sequence[Cell]) -> set[tuple[object, ...]]:

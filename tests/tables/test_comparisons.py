@@ -116,6 +116,11 @@ def test_unlike_trainings_and_machines_are_not_compared(tmp_path):
     changes = compare_methods(cells, main, results.finished)[0].changes.set_index(["scene", "metric"])
     assert changes.loc[("orbit", "psnr"), "seeds"] == 3 and changes.loc[("orbit", "train_hours"), "seeds"] == 2
     assert changes.loc[("night", "psnr"), "seeds"] == changes.loc[("Average", "psnr"), "seeds"] == 0
+    words = {
+        place: tuple(changes.loc[place, ["verdict", "reason"]]) for place in (("night", "psnr"), ("orbit", "mae_degC"))
+    }
+    assert words["night", "psnr"] == ("n/a", "unlike trainings")
+    assert words["orbit", "mae_degC"] == ("n/a", "TDg: not scored; MSMG: not scored")
     main["training"] = main["method"]
     comparisons = compare_methods(cells, main, results.finished)
     assert findings_of_methods(main, None, comparisons, None, {})[0] == (
