@@ -8,16 +8,16 @@ from typing import Any
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import READ_PHASE, Record
 from tdgbench.tables import methods
+from tdgbench.tables.findings import PRIOR_SOURCES
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.likeness import version
 from tdgbench.tables.long_table import SPLITS, method_label, planned_iterations
 from tdgbench.text import named
 
 Fact = Callable[[Record], str]
-SOURCES = {  # of depth priors, in words
-    "points": "the scene's sparse points: where these come from RGB images, no evidence for thermal images alone",
-    "truth": "true depth, with the errors of a monocular network",
-}
+MORE_ON_SOURCES = {  # of depth priors
+    "points": "; no evidence for thermal images alone", "truth": ", with made-up errors like those of a monocular network",
+}  # fmt: skip
 NOT_STATED = "not stated by the version that ran it"
 
 
@@ -132,7 +132,8 @@ def _prior(record: Record) -> str:
     if record.prior is None:
         return "none"
     model, source = record.prior.get("model"), record.prior.get("made_from")
-    made = f", made from {SOURCES.get(str(source), source)}" if source else ""
+    words = PRIOR_SOURCES.get(source, source) + MORE_ON_SOURCES.get(source, "") if source else ""
+    made = f", made from {words}" if words else ""
     return f"{record.prior.get('estimator', 'unknown')}{f' ({model})' if model else ''}{made}"
 
 

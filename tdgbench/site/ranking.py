@@ -11,7 +11,7 @@ import numpy as np
 from tdgbench.cells.key import differences
 from tdgbench.site.packed import SCORES, BoardRow
 from tdgbench.tables import methods
-from tdgbench.tables.comparisons import best_or_tied, change_over_seeds
+from tdgbench.tables.comparisons import EQUAL, best_or_tied, change_over_seeds
 from tdgbench.tables.measures import HOURS
 from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE
 from tdgbench.text import as_typed
@@ -70,7 +70,7 @@ def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:
     for nth, i in enumerate(able):
         verdicts = [change_over_seeds(METRIC, other, numbers[nth]).verdict for other in np.delete(numbers, nth, axis=0)]
         others = [name for other, name in enumerate(names) if other != nth]
-        tied = tuple(name for name, verdict in zip(others, verdicts, strict=True) if verdict == UNDECIDED)
+        tied = tuple(name for name, verdict in zip(others, verdicts, strict=True) if verdict in (EQUAL, UNDECIDED))
         scores = [cell._replace(bold=bool(bold)) for cell, bold in zip(found[i].scores, marks[:, nth], strict=True)]
         ranks = 1 + verdicts.count(BETTER), len(able) - verdicts.count(WORSE)
         found[i] = replace(found[i], ranks=ranks, rivals=len(able), tied=tied, scores=tuple(scores))

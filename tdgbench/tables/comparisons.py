@@ -1,8 +1,8 @@
 """Methods against one another over equal seeds: against a baseline, scene by scene, and against the best of a row.
 
-A difference is decided (`better`, `worse`) where its 95 % Student interval over the seeds that both have excludes 0 and
-leaves the margin within which scores count as equal (`margins.yaml`; half a unit of print for the others). Anything
-else is `undecided`; one seed decides nothing.
+A difference is `equal` where its 95 % Student interval over the seeds that both have lies within the margin up to which
+scores count as equal (`margins.yaml`; half a unit of print for the others), else `better` or `worse` where the interval
+excludes 0, though it may reach inside the margin. Anything else is `undecided`; one seed decides nothing.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ from tdgbench.tables.results import Cell
 from tdgbench.tables.statistics import mean_interval, seed_values
 from tdgbench.tables.verdicts import BETTER, NEVER, UNDECIDED, WORSE, load_margins
 
+EQUAL = "equal"  # beside the verdicts on published numbers
+COUNTED = (BETTER, WORSE, EQUAL, UNDECIDED)
+FEWEST_SEEDS = 3  # of bold type; of two, an interval is 13 standard errors wide on each side
 FEWEST_SCENES = 5  # of a test over scenes: with fewer, no outcome could be below 5 %
 
 
@@ -36,7 +39,7 @@ def bold_note() -> str:
     """Return what bold type in tables means."""
     return (
         "bold: the best, and all whose difference from it has an interval (95 %, over seeds) that includes 0 or lies "
-        f"within the margin ({margins_in_words()}); none where a method has one seed"
+        f"within the margin ({margins_in_words()}); none where a method has fewer than {FEWEST_SEEDS} seeds"
     )
 
 
@@ -68,8 +71,8 @@ class MethodComparison(NamedTuple):
 
 
 def margin_of(metric: str) -> float:
-    """Return the difference up to which two scores count as equal: the margin of published ones, else print's."""
-    return load_margins().get(metric, half_unit(metric))
+    """Return the difference up to which two scores count as equal: of published ones, else print's; of ratios 0."""
+    return 0.0 if MEASURES[metric].ratio else load_margins().get(metric, half_unit(metric))
 
 
 def change_over_seeds(metric: str, new: np.ndarray, old: np.ndarray) -> Change:
@@ -88,9 +91,9 @@ def change_over_seeds(metric: str, new: np.ndarray, old: np.ndarray) -> Change:
         nan = float("nan")
         return Change(nan, nan, nan, nan, nan, 0, UNDECIDED)
     mean, low, high = mean_interval(values[both])
-    margin = 0.0 if ratio else margin_of(metric)
-    decided = (low > 0 or high < 0) and not (-margin <= low and high <= margin)
-    verdict = UNDECIDED if not decided else BETTER if gain(metric, mean, 0.0) > 0 else WORSE
+    margin = margin_of(metric)
+    is_equal, has_sign = -margin <= low and high <= margin, low > 0 or high < 0
+    verdict = EQUAL if is_equal else UNDECIDED if not has_sign else BETTER if gain(metric, mean, 0.0) > 0 else WORSE
     mean, low, high = np.exp([mean, low, high]).tolist() if ratio else (mean, low, high)
     return Change(float(new[both].mean()), float(old[both].mean()), mean, low, high, int(both.sum()), verdict)
 
@@ -99,9 +102,9 @@ def best_or_tied(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.nda
     """Return whether each method (N,) bool is the best, or cannot be told from it: those that a table prints bold.
 
     values: means (N,), NaN for n/a. by_seed: (N, S), NaN where a method lacks the seed. None is, unless each method
-    has two seeds in common with the best.
+    has FEWEST_SEEDS in common with the best.
 
-    >>> seeds = np.array([[20.0, 20.2], [30.0, 30.1], [30.0, 30.3]])
+    >>> seeds = np.array([[20.0, 20.2, 20.1], [30.0, 30.1, 30.0], [30.0, 30.3, 30.1]])
     >>> best_or_tied("psnr", seeds.mean(axis=1), seeds).tolist()
     [False, True, True]
     """
@@ -111,9 +114,9 @@ def best_or_tied(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.nda
         return marks
     best = max(known, key=lambda i: gain(metric, values[i], 0.0))
     changes = {i: change_over_seeds(metric, by_seed[i], by_seed[best]) for i in known if i != best}
-    if any(change.seeds < 2 for change in changes.values()):
+    if any(change.seeds < FEWEST_SEEDS for change in changes.values()):
         return marks
-    marks[[best, *(i for i, change in changes.items() if change.verdict == UNDECIDED)]] = True
+    marks[[best, *(i for i, change in changes.items() if change.verdict in (EQUAL, UNDECIDED))]] = True
     return marks
 
 
@@ -193,7 +196,7 @@ def _unlike(pair: MethodPair, main: pd.DataFrame, finished: Sequence[Cell]) -> s
 
 
 def paired_tests(changes: pd.DataFrame, main: pd.DataFrame) -> pd.DataFrame:
-    """Return metric, scenes, better, worse, undecided, p, image_values: over scenes, how a method compares.
+    """Return metric, scenes, better, worse, equal, undecided, p, image_values: over scenes, how a method compares.
 
     changes: of a MethodComparison. main: rows of both methods. p: of Wilcoxon's one-sided signed-rank test that the
     method is better, of the changes' means; NaN below FEWEST_SCENES.
@@ -208,10 +211,10 @@ def paired_tests(changes: pd.DataFrame, main: pd.DataFrame) -> pd.DataFrame:
             from scipy.stats import wilcoxon  # takes half a second to import, and most runs do without
 
             p = float(wilcoxon(gains, alternative="greater").pvalue)
-        counts = [int((known["verdict"] == word).sum()) for word in (BETTER, WORSE, UNDECIDED)]
+        counts = [int((known["verdict"] == word).sum()) for word in COUNTED]
         compared = main[(main["metric"] == metric) & main["scene"].isin(known["scene"]) & main["value"].notna()]
         rows.append([metric, len(known), *counts, p, values_over_scenes(compared)])
-    return pd.DataFrame(rows, columns=["metric", "scenes", BETTER, WORSE, UNDECIDED, "p", IMAGES])
+    return pd.DataFrame(rows, columns=["metric", "scenes", *COUNTED, "p", IMAGES])
 
 
 def comparison_tables(comparisons: Iterable[MethodComparison]) -> dict[str, pd.DataFrame]:

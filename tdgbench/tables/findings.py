@@ -15,7 +15,7 @@ from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, THE_PAPER, JudgedClaim
 from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
-from tdgbench.tables.comparisons import MethodComparison, margin_of
+from tdgbench.tables.comparisons import COUNTED, EQUAL, MethodComparison, margin_of
 from tdgbench.tables.equal_data import Place, equal_data_notes
 from tdgbench.tables.likeness import TRAINING_KIND, times_at_once
 from tdgbench.tables.long_table import NO_RECORD, method_label
@@ -35,13 +35,11 @@ from tdgbench.tables.readings import change_as_text, widest_average, with_setup
 from tdgbench.tables.seed_spreads import beyond_in_words, usual_spread
 from tdgbench.tables.statistics import with_interval
 from tdgbench.tables.verdicts import (
-    BETTER,
     NOT_REPRODUCED,
     ONE_SEED,
     REPRODUCED,
     UNDECIDED,
     WORDS,
-    WORSE,
     comparable,
     seeds_in_words,
 )
@@ -49,6 +47,10 @@ from tdgbench.text import named, one_line
 
 SYNTHETIC = "synthetic"  # begins the names of the built-in data sets
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
+STILL_FALLING = "the loss went on falling"  # reason of the skip `plateau`: no plateau ended the training
+PRIOR_SOURCES = {  # of depth priors with more than the thermal images, by `made_from`
+    "truth": "true depth", "points": "the scene's sparse points (COLMAP mostly finds them in RGB images)",
+}  # fmt: skip
 
 
 def findings_of_methods(
@@ -66,10 +68,10 @@ def findings_of_methods(
     if effects is None:
         sentences = [sentence for comparison in comparisons for sentence in _comparison(comparison, main, records)]
     else:  # which compare the same methods, and others
-        sentences = [*_effects(effects), *_true_priors(records)]
+        sentences = [*_effects(effects), *given_priors(records)]
     sentences += [] if difference is None else [published(difference)]
     sentences = sentences or list(_alone(main, records))
-    notes = (*_caveats(main), *equal_data_notes(equal)) if sentences else ()
+    notes = (*_caveats(main, records), *equal_data_notes(equal)) if sentences else ()
     return [one_line(sentence) for sentence in (*sentences, *notes)]
 
 
@@ -77,12 +79,14 @@ def findings_of_ablation(
     main: pd.DataFrame, difference: pd.DataFrame | None, records: Sequence[Record] = ()
 ) -> list[str]:
     """Return the findings of an ablation, in the same form."""
-    sentences = [*_ablation(main), *_true_priors(records), *([] if difference is None else [published(difference)])]
+    sentences = [*_ablation(main), *given_priors(records), *([] if difference is None else [published(difference)])]
     return [one_line(sentence) for sentence in sentences]
 
 
-def _caveats(main: pd.DataFrame) -> Iterable[str]:
+def _caveats(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     """Yield what the findings of a main table are no evidence of."""
+    if records and all(any(skip["reason"] == STILL_FALLING for skip in record.skips) for record in records):
+        yield "All trainings stopped at their last iteration, before any plateau of the loss: longer ones may compare differently"
     scenes = main[~_is_average(main)]
     once = f"one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
     data_sets = set(scenes["dataset"])
@@ -160,14 +164,15 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
         return
     where = f"on average over {len(compared)} scenes" if several else f"on {compared['scene'].iloc[0]}"
     of_scenes = main.merge(place[["dataset", "scene"]].drop_duplicates() if not several else compared)
-    grounds = [_certainty(place, of_scenes), *times, *_published_time(pair, scenes), *notes]
+    grounds = [*_certainty(place, of_scenes), *times, *_published_time(pair, scenes), *notes]
     yield f"{title} {where}: {'; '.join([*map(_change, place.itertuples()), *grounds])}"
 
 
 def _title(column: str, records: Sequence[Record]) -> str:
-    """Return a method's name, with where its depth prior is from if no camera could have made it."""
-    known = any(_has_true_prior(record) and method_label(record, with_init=True) == column for record in records)
-    return methods.label(column) + " with a depth prior made from true depth" * known
+    """Return a method's name, with what its depth prior is made from if not from the thermal images alone."""
+    found = [prior_source(one) for one in records if method_label(one, with_init=True) == column]
+    sources = " or ".join(filter(None, dict.fromkeys(found)))
+    return methods.label(column) + (f" with a depth prior made from {sources}" if sources else "")
 
 
 def _times(columns: Iterable[str], records: Sequence[Record]) -> list[str]:
@@ -176,21 +181,23 @@ def _times(columns: Iterable[str], records: Sequence[Record]) -> list[str]:
     return times_at_once(record for record in records if method_label(record, with_init=True) in columns)
 
 
-def _true_priors(records: Sequence[Record]) -> list[str]:
-    """Return the sentence on methods whose depth prior is made from true depth, in a list; empty without any."""
-    known = [methods.label(record.method) for record in records if _has_true_prior(record)]
-    return [f"The depth prior of {named(known)} is made from true depth, not estimated from images"] if known else []
+def given_priors(records: Iterable[Record]) -> list[str]:
+    """Return sentences on what depth priors are made from, if not from the thermal images alone."""
+    found: dict[str, list[str]] = {}
+    for record in records:
+        found.setdefault(prior_source(record), []).append(methods.label(record.method))
+    return [f"The depth prior of {named(them)} is made from {source}" for source, them in found.items() if source]
 
 
-def _has_true_prior(record: Record) -> bool:
-    return (record.prior or {}).get("made_from") == "truth"
+def prior_source(record: Record) -> str:
+    return PRIOR_SOURCES.get((record.prior or {}).get("made_from", ""), "")
 
 
 def _counts(paired: pd.DataFrame) -> str:
-    """Return on how many scenes a method is better, worse and undecided, by metric, with p. paired: `paired_tests`."""
+    """Return on how many scenes a method is better, worse, equal and undecided, by metric, with p. paired: `paired_tests`."""
     parts = []
     for row in paired[paired["metric"].isin(MAIN_COLUMNS)].itertuples():
-        words = [f"{word} on {n}" for word in (BETTER, WORSE, UNDECIDED) if (n := getattr(row, word))]
+        words = [f"{word} on {n}" for word in COUNTED if (n := getattr(row, word))]
         parts += [f"{MEASURES[row.metric].label} {', '.join(words)}{_p(row.p)}"] if words else []
     return "; ".join(parts)
 
@@ -200,24 +207,33 @@ def _change(row: Any) -> str:
     measure, values = MEASURES[row.metric], (as_text(row.metric, value, row.scene) for value in (row.new, row.old))
     form = ".2f" if measure.ratio else f"+.{digits(row.metric, row.scene)}f"
     change = f"× {row.change:{form}}" if measure.ratio else f"{row.change:{form}}{measure.suffix}"
-    text = f"{measure.label} {' against '.join(values)}, {with_interval(change, row.ci95_low, row.ci95_high, form)}"
-    if pd.isna(row.ci95_low):
-        return text
-    is_small = row.verdict == UNDECIDED and row.ci95_low * row.ci95_high > 0 and not measure.ratio
-    small = f", since up to {margin_of(row.metric):g}{measure.suffix} counts as equal" if is_small else ""
-    return f"{text}: {row.verdict}{small}"
+    text = f"{measure.label} {' against '.join(values)}, "
+    if not _has_interval(row):
+        return text + change + f": {UNDECIDED} (two seeds)" * (row.seeds == 2)
+    verdict, margin, stated = row.verdict, margin_of(row.metric), f"{margin_of(row.metric):g}{measure.suffix}"
+    if verdict == EQUAL:
+        verdict += f" within {stated}" * (margin > 0)
+    elif verdict != UNDECIDED and min(abs(row.ci95_low), abs(row.ci95_high)) < margin:
+        verdict = f"{'higher' if row.change > 0 else 'lower'}, whether by more than {stated} is undecided"
+    return f"{text}{with_interval(change, row.ci95_low, row.ci95_high, form)}: {verdict}"
 
 
-def _certainty(place: pd.DataFrame, main: pd.DataFrame) -> str:
-    """Return over how many seeds changes have intervals; of one seed, how far seeds are usually apart.
+def _has_interval(row: Any) -> bool:
+    """Return whether an interval says something: one of two seeds that decides nothing may be of any width."""
+    return row.seeds > 2 or (row.seeds == 2 and row.verdict != UNDECIDED)
+
+
+def _certainty(place: pd.DataFrame, main: pd.DataFrame) -> list[str]:
+    """Return over how many seeds changes have intervals, in a list; of one seed, how far seeds are usually apart.
 
     place: changes at one place. main: rows of the scenes, of all methods.
     """
     seeds = place["seeds"].max()
     if seeds < 2:
-        return f"one seed decides nothing: {usual_spread(main)}"
+        return [f"one seed decides nothing: {usual_spread(main)}"]
     shared = " that both have" if seeds < main["seeds"].max() else ""
-    return f"in brackets: 95 % intervals over {seeds} seeds{shared}"
+    has_any = any(map(_has_interval, place.itertuples()))
+    return [f"in brackets: 95 % intervals over {seeds} seeds{shared}"] if has_any else []
 
 
 def _published_time(pair: methods.MethodPair, scenes: pd.DataFrame) -> list[str]:

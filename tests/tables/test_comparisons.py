@@ -10,7 +10,7 @@ from scipy import stats
 from tdgbench.cells.plan import Plan
 from tdgbench.tables import methods
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.comparisons import best_or_tied, change_over_seeds, compare_methods, paired_tests
+from tdgbench.tables.comparisons import EQUAL, best_or_tied, change_over_seeds, compare_methods, paired_tests
 from tdgbench.tables.findings import findings_of_methods
 from tdgbench.tables.long_table import cell_rows
 from tdgbench.tables.published import published_main
@@ -27,7 +27,8 @@ NAN = float("nan")
         ("psnr", [21.0, 21.2, 21.1], [20.0, 20.1, 20.2], BETTER),
         ("psnr", [19.0, 19.2, 19.1], [20.0, 20.1, 20.2], WORSE),
         ("psnr", [21.37 - 0.6, 21.37, 21.37 + 0.6], [21.13 + 0.8, 21.13, 21.13 - 0.8], UNDECIDED),
-        ("psnr", [40.48] * 3, [40.47] * 3, UNDECIDED),  # sure, but within the margin of 0.2 dB
+        ("psnr", [40.48, 40.40, 40.50], [40.47] * 3, EQUAL),  # within the margin of 0.2 dB
+        ("psnr", [20.2, 20.4, 20.3], [20.0] * 3, BETTER),  # from 0.05, inside the margin, to 0.55 dB
         ("psnr", [41.0], [20.0], UNDECIDED),  # of one seed
         ("psnr", [41.0, NAN], [20.0, 20.1], UNDECIDED),
         ("lpips", [0.1, 0.101], [0.2, 0.201], BETTER),
@@ -54,13 +55,13 @@ def test_the_interval_is_students_of_paired_seeds():
 @pytest.mark.parametrize(
     ("metric", "by_seed", "bold"),
     [
-        ("psnr", [[20.0, 20.1], [30.0, 30.1]], [False, True]),
-        ("lpips", [[0.2, 0.21], [0.3, 0.31]], [True, False]),
-        ("psnr", [[30.0, 30.1], [30.0, 30.1], [20.0, 20.1]], [True, True, False]),  # equal to the last bit
-        ("psnr", [[30.0, 30.9], [30.5, 30.1], [20.0, 20.1]], [True, True, False]),
-        ("psnr", [[30.0, NAN], [20.0, NAN]], [False, False]),  # one seed
-        ("psnr", [[30.0, 30.1], [20.0, NAN]], [False, False]),  # how far the other's seeds lie apart is not known
-        ("psnr", [[30.0, 30.1], [NAN, NAN]], [False, False]),  # nothing to be better than
+        ("psnr", [[20.0, 20.1, 20.0], [30.0, 30.1, 30.1]], [False, True]),
+        ("lpips", [[0.2, 0.21, 0.2], [0.3, 0.31, 0.3]], [True, False]),
+        ("psnr", [[30.0, 30.1, 30.0], [30.0, 30.1, 30.0], [20.0, 20.1, 20.0]], [True, True, False]),  # to the last bit
+        ("psnr", [[30.0, 30.9, 30.2], [30.5, 30.1, 30.3], [20.0, 20.1, 20.0]], [True, True, False]),
+        ("lpips", [[0.32, 0.322, NAN], [0.305, 0.307, NAN]], [False, False]),  # two seeds
+        ("psnr", [[30.0, 30.1, 30.0], [20.0, NAN, 20.0]], [False, False]),  # two in common
+        ("psnr", [[30.0, 30.1, 30.0], [NAN, NAN, NAN]], [False, False]),  # nothing to be better than
     ],
 )
 def test_bold_is_the_best_and_what_cannot_be_told_from_it(metric, by_seed, bold):
