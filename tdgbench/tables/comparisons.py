@@ -171,6 +171,8 @@ def _why_none(
 ) -> str:
     """Return why a pair has no seed in common. place: KEYS but the method. reasons: why a number is n/a, by KEYS."""
     lacking = {method: why for method in pair if (why := reasons.get((method, *place), ""))}
+    if len(lacking) == len(pair) and len({*lacking.values()}) == 1:
+        return lacking[pair.method]
     if lacking:
         return "; ".join(f"{methods.label(method)}: {why}" for method, why in lacking.items())
     dataset, _, scene, metric = place

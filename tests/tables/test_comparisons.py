@@ -121,7 +121,7 @@ def test_unlike_trainings_and_machines_are_not_compared(tmp_path):
         place: tuple(changes.loc[place, ["verdict", "reason"]]) for place in (("night", "psnr"), ("orbit", "mae_degC"))
     }
     assert words["night", "psnr"] == ("n/a", "unlike trainings")
-    assert words["orbit", "mae_degC"] == ("n/a", "TDg: not scored; MSMG: not scored")
+    assert words["orbit", "mae_degC"] == ("n/a", "not scored")
     main["training"] = main["method"]
     comparisons = compare_methods(cells, main, results.finished)
     assert findings_of_methods(main, None, comparisons, None, {})[0] == (
