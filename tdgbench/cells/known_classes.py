@@ -74,6 +74,13 @@ def extra_of(metrics: Any) -> list[str]:
     return list(names)
 
 
+def names_of(record: Record) -> set[str]:
+    """Return the names of a record's method and extra metrics, as --trust takes them."""
+    extra = record.setting("metrics.extra")
+    names = [record.setting("method.method._target_"), *(extra if isinstance(extra, list) else [])]
+    return {name for name in names if isinstance(name, str)}
+
+
 def method_of(record: Record) -> Method:
     """Return the method of a record with its options.
 

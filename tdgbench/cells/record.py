@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -265,7 +266,9 @@ def record_files(experiment: Path) -> list[Path]:
 def no_records(experiment: Path) -> ValueError:
     """Return the error of a folder without records."""
     if experiment.is_dir():
-        return ValueError(f"{experiment} holds no records; run an experiment first")
+        images = any(path.suffix in (".png", ".npy") for path in experiment.iterdir())
+        scored = f"images: tdgbench method=renders method.folder={shlex.quote(str(experiment))} scene=SCENE scores them"
+        return ValueError(f"{experiment} holds {scored if images else 'no records; run an experiment first'}")
     return ValueError(f"{experiment} is {'no folder' if experiment.exists() else 'not there'}")
 
 

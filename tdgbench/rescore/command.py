@@ -21,6 +21,7 @@ from tdgbench.cells.known_classes import add_trust_arguments, extra_of, trust, t
 from tdgbench.cells.metric_settings import metric_settings, scorer_of
 from tdgbench.cells.paths import cell_folder_of
 from tdgbench.cells.plan import read_plan
+from tdgbench.cells.record import no_records
 from tdgbench.experiments.sweep.finish import write_all
 from tdgbench.files import whole_folder
 from tdgbench.packs import opened_pack
@@ -28,6 +29,7 @@ from tdgbench.rescore.cell import score_cell
 from tdgbench.resources import conf_folder
 from tdgbench.scoring import Scorer
 from tdgbench.scoring.metrics.lpips import LPIPS
+from tdgbench.scoring.scorer import FAILED
 from tdgbench.tables.measures import entries_of
 from tdgbench.terminal import errors_in_one_line, say, show_findings
 from tdgbench.text import one_line
@@ -69,6 +71,8 @@ def score_experiment(experiment: Path, out: Path, words: list[str], config_dirs:
     """
     chosen = read_options(words, config_dirs) if words else None
     cells = read_cells(experiment)
+    if not cells:
+        raise no_records(experiment)
     if not any(cell.record.failure is None for cell in cells):
         raise ValueError(f"{experiment} holds no finished cell")
     if out.resolve() == experiment.resolve():
@@ -85,7 +89,8 @@ def score_experiment(experiment: Path, out: Path, words: list[str], config_dirs:
             with cell_lock(out, target) as is_held:
                 if not is_held:
                     raise ValueError("another process works on it")
-                outcome = _score(cell, target, chosen, scorers)
+                outcome, is_whole = _score(cell, target, chosen, scorers)
+                failed = failed or not is_whole
         except (ValueError, OSError) as error:
             failed, outcome = True, f"not scored: {error}"
         except (Exception, SystemExit) as error:  # a method of the user may raise anything; the others are scored
@@ -94,13 +99,13 @@ def score_experiment(experiment: Path, out: Path, words: list[str], config_dirs:
     return failed
 
 
-def _score(cell: CellFolder, target: Path, chosen: Chosen | None, scorers: dict[str, Scorer]) -> str:
-    """Score a cell, or hand the record of a failed one on; return what was done, in words."""
+def _score(cell: CellFolder, target: Path, chosen: Chosen | None, scorers: dict[str, Scorer]) -> tuple[str, bool]:
+    """Score a cell, or hand the record of a failed one on; return what was done, and whether no metric failed."""
     record = cell.record
     if record.failure is not None:
         with whole_folder(target) as part:
             record.write(part)
-        return record.why_failed
+        return record.why_failed, True
     metrics, download = chosen or Chosen(record.setting("metrics"))
     settings = metric_settings(metrics)
     own = settings["lpips"]["weights"] if chosen else None  # one that a record names is not opened
@@ -109,9 +114,14 @@ def _score(cell: CellFolder, target: Path, chosen: Chosen | None, scorers: dict[
     scorer = scorer_of(settings, download, None if own is None else Path(own), extra_of(metrics))
     scorer = scorers.setdefault(json.dumps([metrics, download], sort_keys=True), scorer)
     scores = score_cell(cell, target, scorer, metrics)
-    computed, lacking = ([m for m, value in scores.items() if (value is None) == lacks] for lacks in (False, True))
-    done = [f"{', '.join(computed)} computed"] * bool(computed) + [f"{', '.join(lacking)} n/a"] * bool(lacking)
-    return "; ".join(done) or "already there"
+    why = {m: scorer.missing.get(m, "") for m in scores if scores[m] is None}
+    faulty = [m for m, reason in why.items() if reason.startswith(FAILED)]
+    by_outcome: dict[str, list[str]] = {}
+    for m in scores:
+        if m not in faulty:
+            by_outcome.setdefault(f"n/a ({why[m]})" if m in why else "computed", []).append(m)
+    done = [f"{', '.join(names)} {outcome}" for outcome, names in by_outcome.items()]
+    return "; ".join([*done, *(f"{m} {why[m]}" for m in faulty)]) or "already there", not faulty
 
 
 def read_options(words: list[str], config_dirs: Sequence[Path] = ()) -> Chosen:

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from traceback import extract_tb
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
@@ -16,7 +17,7 @@ from pydantic import AfterValidator
 from tdgbench.scenes import Scene, View
 from tdgbench.scoring.backbones import BackboneUnavailableError, Net
 from tdgbench.scoring.lpips import LPIPS, Range
-from tdgbench.scoring.metric import Metric
+from tdgbench.scoring.metric import Metric, MetricError
 from tdgbench.scoring.registry import METRICS, extra_metrics, on_training_views, with_extra
 from tdgbench.scoring.scored_view import (
     Border,
@@ -28,6 +29,7 @@ from tdgbench.scoring.scored_view import (
 )
 from tdgbench.splats.cpu import pool
 
+FAILED = "failed"  # first word of why a metric of the user is n/a, where that is a fault of its code
 PIXELS_AT_ONCE = 8 * 640 * 480  # LPIPS with vgg takes up to 1 kB a pixel: 300 MB for a view of 640×480, 2.4 GB for 8
 
 T = TypeVar("T")
@@ -97,18 +99,18 @@ class Scorer:
         def shown(view: View) -> ScoredView:
             return ScoredView(view, renders[view.name], self.settings)
 
-        return self._scores(views, shown, list(self.train_metrics.values()))
+        return self._scores(views, shown, list(self.train_metrics.values()), prefix="train_")
 
     def _scores(
-        self, views: Sequence[View], shown: Callable[[View], ScoredView], metrics: Sequence[Metric]
+        self, views: Sequence[View], shown: Callable[[View], ScoredView], metrics: Sequence[Metric], prefix: str = ""
     ) -> dict[str, Scores]:
-        """Return the scores by view, and add the reasons for missing ones to `missing`."""
+        """Return the scores by view, and add the reasons for missing ones to `missing`, by the metric's name."""
         if views and any(metric.of_network for metric in metrics):
             _ = self._lpips  # here, so that no two threads load the network
         largest = max((view.camera.width * view.camera.height for view in views), default=0)
         scored = map_views(lambda view: _scored(shown(view), metrics), views, largest)
         for _, missing in scored:
-            self.missing |= missing
+            self.missing |= {prefix + name: why for name, why in missing.items()}
         return {view.name: scores for view, (scores, _) in zip(views, scored, strict=True)}
 
     def lpips(self, image: np.ndarray, target: np.ndarray) -> float:
@@ -129,7 +131,7 @@ class Scorer:
 
 
 def _scored(shown: ScoredView, metrics: Iterable[Metric]) -> tuple[Scores, dict[str, str]]:
-    """Return the scores of a view, None where a metric does not apply, and why it does not."""
+    """Return the scores of a view, None where a metric does not apply or one of the user fails, and why."""
     scores: Scores = {}
     missing: dict[str, str] = {}
     for metric in metrics:
@@ -137,7 +139,20 @@ def _scored(shown: ScoredView, metrics: Iterable[Metric]) -> tuple[Scores, dict[
             scores[metric.name] = metric.score(shown)
         except NotApplicableError as error:
             scores[metric.name], missing[metric.name] = None, str(error)
+        except Exception as error:  # the user's code may raise anything; it costs no training and no other score
+            if metric.name in METRICS or isinstance(error, MemoryError):
+                raise
+            scores[metric.name], missing[metric.name] = None, f"{FAILED}: {_in_words(error)}"
     return scores, missing
+
+
+def _in_words(error: Exception) -> str:
+    """Return what a metric of the user raised, and where."""
+    if isinstance(error, MetricError):
+        return str(error)
+    text = "; ".join([str(error), *getattr(error, "__notes__", ())])
+    own = [frame for frame in extract_tb(error.__traceback__) if "site-packages" not in frame.filename]
+    return f"{type(error).__name__}: {text} ({Path(own[-1].filename).name}, line {own[-1].lineno})"
 
 
 def mean_scores(views: Mapping[str, Scores], metrics: Iterable[str] | None = None) -> Scores:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tdgbench.cells.folder import CellFolder
-from tdgbench.cells.known_classes import add_trust_arguments, known_classes, trust
+from tdgbench.cells.known_classes import add_trust_arguments, known_classes, names_of, trust
 from tdgbench.cells.paths import CAMERAS_FILE, RECORD_FILE, VIEWS_FILE, files_of
 from tdgbench.cells.plan import read_plan
 from tdgbench.cells.record import Record, no_records, record_files
@@ -16,7 +16,7 @@ from tdgbench.packs import opened_pack
 from tdgbench.scenes.modalities import THERMAL
 from tdgbench.tables.equal_data import equal_in_words, equal_scenes
 from tdgbench.terminal import say
-from tdgbench.text import one_line
+from tdgbench.text import meant, one_line
 from tdgbench.verify.cell import check_cell, read_cell
 from tdgbench.verify.problems import NOT_CHECKED, NOT_COMPUTED, NotCheckedError, Problems
 from tdgbench.verify.record_problems import place_problems
@@ -31,7 +31,7 @@ class Verification(NamedTuple):
 
     checked: finished cells whose ground truth was compared with data. why_not: of the others, each reason once. equal:
     scenes with the test images of another one, in words. foreign: methods that are none of tdgbench's and whose renders
-    were compared with those of their Gaussians alone.
+    were compared with those of their Gaussians alone. named: classes of methods and metrics that records name.
     """
 
     cells: int
@@ -41,6 +41,7 @@ class Verification(NamedTuple):
     why_not: tuple[str, ...] = ()
     equal: tuple[str, ...] = ()
     foreign: tuple[str, ...] = ()
+    named: frozenset[str] = frozenset()
 
     @property
     def in_words(self) -> str:
@@ -96,6 +97,8 @@ def main(arguments: list[str]) -> int:
         if verified.foreign:
             of = f"that of {', '.join(verified.foreign)} was not run, as it is none of tdgbench's"
             say(one_line(f"{of}; checked are the stored Gaussians, renders and scores, not what trained them"), "code:")
+        for name in sorted({*options.trust} - verified.named):
+            say(one_line(f"no cell has --trust {name}, so it was not run{meant(name, verified.named)}"), "code:")
         status |= bool(verified.problems) or not verified.finished
     return status
 
@@ -112,6 +115,7 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
     of_plan, finished, checked, why_not = Problems(), 0, 0, dict[str, None]()
     sound: list[Record] = []
     foreign: dict[str, None] = {}
+    named: set[str] = set()
     of_plan.read("its plan", read_plan, experiment)
     problems = of_plan.all
     with true_data(data) as true:
@@ -122,6 +126,7 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
                 cell, text = stated
                 found.check("its folder", place_problems, cell)
                 check_cell(cell, text, found, weights)
+                named |= names_of(cell.record)
                 if cell.record.status == "ok":
                     finished += 1
                     foreign |= dict.fromkeys([cell.record.method] if _is_foreign(cell) else [])
@@ -134,7 +139,9 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
             problems += [f"{name}: {problem}" for problem in found.all]
     problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {RECORD_FILE} is missing" for folder in lost]
     equal = tuple(equal_in_words(twin, first) for twin, first in equal_scenes(sound).items())
-    return Verification(len(records), finished, problems, checked, tuple(why_not), equal, tuple(foreign))
+    return Verification(
+        len(records), finished, problems, checked, tuple(why_not), equal, tuple(foreign), frozenset(named)
+    )
 
 
 def _is_foreign(cell: CellFolder) -> bool:

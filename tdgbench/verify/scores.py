@@ -16,7 +16,7 @@ from tdgbench.cells.metric_settings import metric_settings, scorer_of
 from tdgbench.cells.paths import RECORD_FILE, VIEWS_FILE
 from tdgbench.cells.record import Record
 from tdgbench.scenes import Scene
-from tdgbench.scoring import RenderedImages, Scores, mean_scores
+from tdgbench.scoring import METRICS, RenderedImages, Scores, mean_scores
 from tdgbench.scoring.backbones import BackboneUnavailableError
 from tdgbench.scoring.metric import ImageMetric, Metric, MetricError
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
@@ -102,7 +102,9 @@ def _view_problems(
         shown = ScoredView(shown.view, shown.rendered, bare, shown.scene, shown.renders)
     try:
         value = metric.score(shown)
-    except (NotApplicableError, MetricError) as error:
+    except Exception as error:  # a metric of the user may raise anything
+        if metric.name in METRICS and not isinstance(error, NotApplicableError | MetricError):
+            raise
         if stored is not None:
             yield f"{metric.name} {NOT_COMPUTED}: {error}"
         return None

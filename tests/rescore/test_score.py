@@ -82,7 +82,7 @@ def test_an_experiment_keeps_its_scores_and_failures(experiment, capsys):
     assert [r.why_failed for r in read_all(out)] == [r.why_failed for r in read_all(experiment)]
     assert (out / "tables" / "main.csv").exists() and (out / "report.html").exists()
     assert verify(out).problems == []
-    assert "ssim, rgb_ssim computed; lpips, rgb_lpips n/a" in capsys.readouterr().out
+    assert "ssim, rgb_ssim computed; lpips, rgb_lpips n/a (no vgg backbone: " in capsys.readouterr().out
 
 
 def test_what_is_there_is_not_computed_again(experiment, monkeypatch, capsys):

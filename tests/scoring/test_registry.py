@@ -15,6 +15,7 @@ from tdgbench.scoring import METRICS, RenderedImages, metrics, registry
 from tdgbench.scoring.metric import ImageMetric, MetricError
 from tdgbench.scoring.registry import find_metrics
 from tdgbench.scoring.scored_view import Convention, ScoredView
+from tdgbench.scoring.scorer import _scored
 from tests.helpers.configs import config
 
 MADE_UP = """
@@ -110,6 +111,11 @@ def test_values_that_count_for_nothing_are_refused(small_gray_scene, value, said
     with pytest.raises(ZeroDivisionError) as caught:
         replace(metric, of_images=lambda pair: 1 / 0).score(shown)
     assert message(caught.value) == f"ZeroDivisionError: division by zero; metric bias of view {view.name}"
+    scores, missing = _scored(shown, [replace(metric, of_images=lambda pair: 1 / 0)])  # one of the user
+    assert scores == {"bias": None} and missing["bias"].startswith(
+        "failed: ZeroDivisionError: division by zero; metric"
+    )
+    assert missing["bias"].rpartition(", line")[0].endswith("(test_registry.py")
 
 
 def test_the_rgb_model_is_described_like_the_thermal_one():
