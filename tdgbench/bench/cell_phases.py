@@ -35,6 +35,7 @@ from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene, SceneError
 from tdgbench.scenes.datasets import Outline, outline_of
 from tdgbench.scoring import Scorer, mean_scores
+from tdgbench.scoring.scorer import FAILED
 from tdgbench.splats.ply import save_ply
 from tdgbench.text import duration
 from tdgbench.thermal import ImageResponse
@@ -97,6 +98,9 @@ class CellRun(SetupObserver):
     def note(self, field: str, facts: dict[str, Any], notes: Sequence[str] = ()) -> None:
         setattr(self.record, field, {**(getattr(self.record, field) or {}), **facts})
         self.record.notes += notes
+
+    def doubt(self, doubts: Sequence[str]) -> None:
+        state_doubts(self.record, [*doubts, *self.record.doubts], None)
 
     def locate(self) -> tuple[Dataset, Skips]:
         """Return the cell's data set and skips; put the names of its scene into the record, without reading it."""
@@ -189,6 +193,7 @@ class CellRun(SetupObserver):
             with self.phase("score_train"):
                 record.train_scores = score_training_views(trainer, scene, scorer, response)
             record.scores, record.missing = mean_scores(scores), {**record.missing, **scorer.missing}
+            self.remarks += [f"{name} {why}" for name, why in scorer.missing.items() if why.startswith(FAILED)]
             with self.phase("write"):
                 for name, model in trainer.gaussians.items():
                     save_ply(model.gaussians, unfinished / files_of(name).model)

@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.init import InitialPoints
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
+from tdgbench.priors.known_depth import doubts_of
 from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.thermal import IDEAL, ImageResponse, ThermalCamera, Unknown, corrected, estimate_camera
 from tdgbench.thermal.maps import evaluate
@@ -56,6 +57,9 @@ class SetupObserver:
 
         field: `thermal_camera` (whose parts are `estimated` and `rig`), `prior` or `init_points`.
         """
+
+    def doubt(self, doubts: Sequence[str]) -> None:
+        """Called with why the depth priors may be wrong."""
 
 
 def set_up(
@@ -111,7 +115,7 @@ def loader_of(cfg: DictConfig, skips: Skips) -> DictConfig:
 
 def _read_images(scene: Scene, method: Method, skips: Skips) -> None:
     for view in scene.views:
-        _ = view.thermal
+        _check_image(view.thermal, view, scene.channels, f"the thermal image of view {view.name} of {scene.name}")
     for view in scene.train:
         if view.valid is not None and not view.valid.any():
             raise SceneError(
@@ -119,7 +123,17 @@ def _read_images(scene: Scene, method: Method, skips: Skips) -> None:
                 "correct its mask or its thermal values, or remove the view"
             )
     for view in _rgb_views(scene, method, skips):
-        _ = view.rgb
+        _check_image(view.rgb, view, 3, f"the RGB image of view {view.name} of {scene.name}")
+
+
+def _check_image(image: np.ndarray, view: View, channels: int, what: str) -> None:
+    """Raise SceneError for an image of another shape than its camera's, or with values that are not finite."""
+    expected = view.camera.height, view.camera.width, channels
+    if image.shape != expected:
+        raise SceneError(f"{what} is {image.shape}, by its camera it is {expected} (height, width, channels)")
+    wrong = image.size - int(np.isfinite(image).sum())
+    if wrong:
+        raise SceneError(f"{what} is not finite in {wrong} of {image.size} values; give the view a mask (load_valid)")
 
 
 def _rgb_views(scene: Scene, method: Method, skips: Skips) -> list[View]:
@@ -184,9 +198,9 @@ def _estimate_priors(
         views, cached = len(scene.train), len(scene.train) - estimated
         reason = f"{cached} of {views} training views were estimated before; test views need no prior"
         skips.prior.decide(cached > 0, reason, f"{cached} estimates")
-        source = {"made_from": cfg.prior.made_from} if cfg.prior.get("made_from") else {}
-        facts = {**estimator.identity(scene), "kind": next(iter(priors.values())).kind, **source}
-        observer.note("prior", facts)
+        kind = next(iter(priors.values())).kind
+        observer.note("prior", {**estimator.identity(scene), "kind": kind, "made_from": cfg.prior.made_from})
+        observer.doubt([*doubts_of(priors, scene)])
     return {view.name: _where_valid(priors[view.name], view) for view in scene.train}
 
 

@@ -21,13 +21,11 @@ from omegaconf import DictConfig
 from scipy.stats import spearmanr
 
 from tdgbench.priors import DepthPrior, PriorError, estimate_all, prepare
+from tdgbench.priors.known_depth import KnownDepth, known_depth
 from tdgbench.priors.prior import Kind
-from tdgbench.priors.sfm_points import visible_points
-from tdgbench.scenes import PointCloud, Scene, View
+from tdgbench.scenes import PointCloud, Scene
 
 DELTA = 1.25
-GRID_WIDTH = 160  # columns of the grid on which points hide others, as in conf/prior/sfm_points.yaml
-_OCCLUSION = 0.1  # as there
 _MIN_POINTS = 20  # of a view that is judged
 
 
@@ -51,14 +49,6 @@ class PriorErrors(NamedTuple):
         """Means of the errors over the views; NaN without any."""
         errors = list(self.views.values()) or [Accuracy(np.nan, np.nan, np.nan)]
         return Accuracy(*map(float, np.mean(errors, axis=0)))
-
-
-class KnownDepth(NamedTuple):
-    """True z at pixels; all arrays have shape (N,)."""
-
-    rows: np.ndarray
-    columns: np.ndarray
-    z: np.ndarray  # world units
 
 
 def measure_prior(prior: DictConfig, scene: Scene, cache: Path | None) -> PriorErrors:
@@ -97,29 +87,6 @@ def split_points(scene: Scene) -> tuple[Scene, np.ndarray]:
         return scene, np.zeros((0, 3))
     given = PointCloud(scene.points.points[::2], scene.points.colors[::2])
     return replace(scene, points=given, fingerprint=f"{scene.fingerprint}-half"), scene.points.points[1::2]
-
-
-def known_depth(view: View, points: np.ndarray) -> KnownDepth:
-    """Return the known depth in a view's measured pixels. points: (N, 3), the truth."""
-    depth, valid = view.true_depth, view.valid
-    if depth is None:
-        known = _of_points(view, points)
-    else:
-        rows, columns = np.nonzero(depth > 0)
-        known = KnownDepth(rows, columns, depth[rows, columns].astype(np.float64))
-    if valid is not None:
-        known = KnownDepth(*(array[valid[known.rows, known.columns]] for array in known))
-    return known
-
-
-def _of_points(view: View, points: np.ndarray) -> KnownDepth:
-    camera = view.camera
-    width = min(GRID_WIDTH, camera.width)
-    grid = camera.resized(width, max(1, round(camera.height * width / camera.width)))
-    seen = visible_points(grid, points, _OCCLUSION)
-    columns, rows = camera.project(points[seen.number])[0].astype(int).T
-    inside = (columns < camera.width) & (rows < camera.height)
-    return KnownDepth(rows[inside], columns[inside], seen.z[inside])
 
 
 def accuracy(values: np.ndarray, kind: Kind, truth: np.ndarray) -> Accuracy:

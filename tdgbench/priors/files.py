@@ -36,12 +36,14 @@ class FilePrior:
     def identity(self, scene: Scene) -> dict[str, object]:
         """Return what the maps depend on. Raises PriorError that names the maps of all views that cannot be used."""
         folder = f"<scene>/{RELEASED_FOLDER}" if self.folder is None else str(self.folder)
+        if self.folder is not None and not is_there(self.folder):
+            raise PriorError(f"{folder} does not exist; prior.estimator.folder=DIR names the folder of the maps")
         digest, problems = hashlib.sha256(), []
         for view in scene.train:
             try:
                 with _as_prior_error():
                     digest.update(hash_of(self._find(scene, view)))
-                self.estimate(scene, view).check(view)
+                self.estimate(scene, view)
             except PriorError as error:
                 problems.append(str(error))
         if problems:
@@ -59,12 +61,12 @@ class FilePrior:
                 raise PriorError(f"{path} has shape {values.shape}; a depth map is (H, W)")
             _check_size(path, values, scene, view)
         if is_array:
-            return DepthPrior(values, self.kind).resized(width, height)
+            return _usable(path, DepthPrior(values, self.kind).resized(width, height))
         if values.shape != (height, width):
             given = torch.from_numpy(values)[None, None]
             resized = torch.nn.functional.interpolate(given, (height, width), mode="bilinear", align_corners=False)
             values = resized[0, 0].numpy()
-        return DepthPrior(np.where(values > 0, values, np.float32(np.nan)), self.kind)
+        return _usable(path, DepthPrior(np.where(values > 0, values, np.float32(np.nan)), self.kind))
 
     def _find(self, scene: Scene, view: View) -> Path:
         if self.folder is not None:
@@ -81,11 +83,26 @@ class FilePrior:
         ]
         path = next((p for p in candidates if is_there(p)), None)
         if path is None:
-            expected = bases[0] / f"{view.name}.npy"
+            expected = " or ".join(str(base / f"{view.name}.npy") for base in bases)
             raise PriorError(
                 f"view {view.name} has no depth prior; expected {expected} (or .png, or in train/ or test/)"
             )
         return path
+
+
+def _usable(path: Path, prior: DepthPrior) -> DepthPrior:
+    """Return a map. Raises PriorError for one that says nothing of depth."""
+    known = prior.values[np.isfinite(prior.values)]
+    fault = ""
+    if not known.size:
+        fault = "has no known value: each is NaN, infinite or, of a picture, 0"
+    elif not np.ptp(known):
+        fault = f"has one value only, {known[0]:g}"
+    elif prior.kind == "metric" and known.max() <= 0:
+        fault = "has no value above 0, and kind=metric is z in the scene's units"
+    if fault:
+        raise PriorError(f"{path} {fault}; make it again")
+    return prior
 
 
 def _check_size(path: Path, values: np.ndarray, scene: Scene, view: View) -> None:

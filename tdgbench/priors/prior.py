@@ -7,6 +7,7 @@ import importlib
 import json
 import logging
 import pkgutil
+import sys
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -172,13 +173,21 @@ def estimate_all(
     cache: folder of the maps; None disables it. report: called with (views done, views).
     """
     priors, made = {}, 0
-    identity = json.dumps(estimator.identity(scene), sort_keys=True)
+    identity = json.dumps([_classes(estimator), estimator.identity(scene)], sort_keys=True)
     for index, view in enumerate(scene.train, start=1):
         prior, is_new = _cached(estimator, identity, scene, view, cache)
         priors[view.name], made = prior.check(view), made + is_new
         if report is not None:
             report(index, len(scene.train))
     return priors, made
+
+
+def _classes(estimator: DepthEstimator) -> list[tuple[str, str]]:
+    """Return the names of an estimator's class and of its bases with the hashes of their modules' files."""
+    kinds = type(estimator).__mro__[:-1]
+    files = [Path(str(getattr(sys.modules.get(kind.__module__), "__file__", None))) for kind in kinds]
+    hashes = [hash_of(file).hex()[:16] if file.is_file() else "" for file in files]
+    return [(f"{kind.__module__}.{kind.__qualname__}", digest) for kind, digest in zip(kinds, hashes, strict=True)]
 
 
 def _cached(

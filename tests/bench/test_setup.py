@@ -1,8 +1,13 @@
 from contextlib import contextmanager
+from dataclasses import replace
+from unittest.mock import Mock
 
+import numpy as np
+import pytest
 from hydra.utils import instantiate
 
-from tdgbench.bench.setup import SetupObserver, loader_of, set_up
+from tdgbench.bench.setup import SetupObserver, _read_images, loader_of, set_up
+from tdgbench.scenes import SceneError
 from tdgbench.training.skips import Skips
 from tests.helpers.configs import SMALL, config
 
@@ -16,6 +21,17 @@ def test_gray_scenes_have_three_channels_without_the_skip(data_root):
     assert loader_of(twice, Skips(gray=False)).inner.inner.options.channels == 3
     forced = config(*SMALL, f"data.root={data_root}", "scene=turntable", "data.channels=1")
     assert loader_of(forced, Skips(gray=False)).options.channels == 1
+
+
+def test_an_image_that_is_not_its_camera_s_is_named(small_gray_scene):
+    view = small_gray_scene.test[0]
+    spoilt = view.thermal.copy()
+    spoilt[3, 4] = np.nan
+    cut = r"is \(35, 48, 1\), by its camera it is \(36, 48, 1\)"
+    for image, said in ((spoilt, "is not finite in 1 of 1728 values"), (view.thermal[1:], cut)):
+        scene = replace(small_gray_scene, test=[view.with_thermal(image)])
+        with pytest.raises(SceneError, match=f"the thermal image of view {view.name} of .* {said}"):
+            _read_images(scene, Mock(), Skips())
 
 
 class Watch(SetupObserver):

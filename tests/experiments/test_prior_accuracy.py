@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tdgbench.experiments.prior_accuracy import accuracy, aligned, known_depth, measure_prior, source, split_points
+from tdgbench.experiments.prior_accuracy import accuracy, aligned, measure_prior, source, split_points
+from tdgbench.priors.known_depth import known_depth
 from tests.helpers.configs import config
 
 RNG = np.random.default_rng(0)

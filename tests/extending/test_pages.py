@@ -141,6 +141,11 @@ def test_dataset(page, small_gray_scene):
     assert (lowest, highest) == (0.0, 1.0) and scene.train[0].thermal.shape == values.shape
     assert np.corrcoef(scene.train[0].thermal.ravel(), values.ravel())[0, 1] > 0.9999
     assert dataset.run(*small, "scene=cellar") == 1
+    first = scene.train[0]
+    array = dataset.folder / "captures" / "roof" / f"{first.name}.npy"
+    np.save(array, np.where(np.arange(first.camera.width) < 3, np.nan, np.load(array)))
+    masked = ArrayDataset(dataset.folder / "captures", loader).load("roof").train[0]
+    assert masked.valid is not None and masked.valid[0].sum() == first.camera.width - 3 and not masked.thermal[0, 0]
 
 
 def test_layout(page, small_gray_scene, monkeypatch):
@@ -223,14 +228,21 @@ def test_metric(page, data_root):
     assert "metric edges.EDGE_PSNR is none of tdgbench's and was not run" in unknown and "1 problem" in unknown
     source.write_text(text, encoding="utf-8")
     assert "1 cell, 0 problems" in lines(verify)
+    mistyped = lines([*verify[:2], "--config-dir", "yaml", "--trust", "edges.EDGEPSNR"])
+    assert "no cell has --trust edges.EDGEPSNR, so it was not run; did you mean edges.EDGE_PSNR?" in mistyped
     source.write_text(text.replace("psnr(edges, target_edges)", "psnr(edges, target_edges) + 1"), encoding="utf-8")
     assert "edge_psnr is" in lines([*verify[:2], "--config-dir", "yaml"], 1)  # its pictures give another value
-    assert "edge_psnr computed; lpips, rgb_lpips n/a" in lines(score)
+    assert "edge_psnr computed" in lines(score)
     (scored,) = records(metric, "edges")
     assert scored.scores["edge_psnr"] == pytest.approx(record.scores["edge_psnr"] + 1)
     assert (scored.protocol, scored.scores["psnr"]) == (record.protocol, record.scores["psnr"])
+    source.write_text(text.replace("psnr(edges, target_edges)", 'float("nan")'), encoding="utf-8")
+    assert "edge_psnr failed: metric edge_psnr of view" in lines(score, 1)
+    (failed,) = records(metric, "edges")
+    assert failed.scores["edge_psnr"] is None and failed.missing["edge_psnr"].startswith("failed: ")
     changed = tdgbench_here(metric.folder, *train, f"data.root={data_root}", *QUICK)
-    assert "the code changed" in changed.stdout + changed.stderr
+    assert "the code changed" in changed.stdout + changed.stderr and "is nan: return a finite number" in changed.stderr
+    assert records(metric)[0].scores.items() >= {**record.scores, "edge_psnr": None}.items()
 
 
 def test_table_column(page, small_results):

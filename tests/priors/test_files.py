@@ -5,8 +5,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tdgbench.priors import PriorError, estimate_all
+from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.priors.files import FilePrior
+from tdgbench.priors.known_depth import doubts_of
+
+RAMP = np.arange(36 * 48, dtype=np.float32).reshape(36, 48)
 
 
 def test_files(small_scene, tmp_path):
@@ -21,7 +24,9 @@ def test_files(small_scene, tmp_path):
     Image.fromarray(counts).save(tmp_path / small_scene.name / f"{view.name}.png")
     read = FilePrior(str(tmp_path), "disparity").estimate(small_scene, view)
     assert np.isnan(read.values[0, 0]) and np.allclose(read.values[1:], values[1:], atol=1e-4)
-    with pytest.raises(PriorError, match=r"view view002 has no depth prior; expected .*view002\.npy"):
+    with pytest.raises(
+        PriorError, match=r"view view002 has no depth prior; expected .*orbit/view002\.npy or .*view002\.npy"
+    ):
         FilePrior(str(tmp_path), "depth").estimate(small_scene, small_scene.train[1])
 
 
@@ -40,11 +45,11 @@ def test_a_map_of_another_size_is_resized(small_scene, tmp_path):
 
 def test_a_map_that_changed_is_read_again(small_scene, tmp_path):
     for view in small_scene.train:
-        np.save(tmp_path / f"{view.name}.npy", np.full((36, 48), 1.0, np.float32))
+        np.save(tmp_path / f"{view.name}.npy", RAMP)
     prior, name = FilePrior(str(tmp_path), "depth"), small_scene.train[0].name
     before = prior.identity(small_scene)
     estimate_all(prior, small_scene, tmp_path / "cache")
-    np.save(tmp_path / f"{name}.npy", np.full((36, 48), 2.0, np.float32))
+    np.save(tmp_path / f"{name}.npy", RAMP + 2)
     assert prior.identity(small_scene)["files"] != before["files"]
     assert estimate_all(prior, small_scene, tmp_path / "cache")[0][name].values[0, 0] == 2.0
 
@@ -53,7 +58,7 @@ def test_all_maps_that_cannot_be_used_are_named_at_once(small_scene, tmp_path):
     """Missing, of another aspect ratio, without a value; a map of half the size is of this image."""
     first, second, third, *others = small_scene.train
     for view in others:
-        np.save(tmp_path / f"{view.name}.npy", np.ones((18, 24)))
+        np.save(tmp_path / f"{view.name}.npy", RAMP[::2, ::2])
     np.save(tmp_path / f"{second.name}.npy", np.ones((48, 36)))
     Image.new("L", (48, 36)).save(tmp_path / f"{third.name}.png")
     prior = FilePrior(str(tmp_path), "depth")
@@ -65,13 +70,31 @@ def test_all_maps_that_cannot_be_used_are_named_at_once(small_scene, tmp_path):
             f"3 of {len(small_scene.train)} training views have no map to use: view {first.name} "
         )
         assert f"is 36×48 px and the image of view {second.name} 48×36 px: their aspect ratios differ" in lines[1]
-        assert f"view {third.name}" in lines[2] and "no finite value" in lines[2]
+        assert f"{third.name}.png has no known value" in lines[2]
+    with pytest.raises(PriorError, match=r"nowhere does not exist; prior\.estimator\.folder=DIR"):
+        FilePrior(str(tmp_path / "nowhere"), "depth").identity(small_scene)
+
+
+DOUBTED = {
+    "": lambda z: ("metric", z),
+    "a rank correlation of -": lambda z: ("disparity", z),
+    "of kind depth, has a rank correlation of": lambda z: ("depth", z[::-1]),
+    "of kind metric, is 1e+03 × the depth of the sparse points": lambda z: ("metric", 1000 * z),
+}
+
+
+@pytest.mark.parametrize("doubt", DOUBTED)
+def test_maps_that_contradict_the_sparse_points_are_doubted(small_scene, tmp_path, doubt):
+    priors = {view.name: DepthPrior(*DOUBTED[doubt](view.true_depth)[::-1]) for view in small_scene.train}
+    doubts = [*doubts_of(priors, small_scene)]
+    assert len(doubts) == bool(doubt) and all(doubt in one for one in doubts), doubts
+    assert not [*doubts_of(priors, replace(small_scene, points=None))]
 
 
 def test_a_map_of_the_distorted_image_is_refused(small_scene, tmp_path):
     """The lens' distortion is removed from the view, so the map of its file does not fit, whatever data.width is."""
     view = small_scene.train[0]
-    np.save(tmp_path / f"{view.name}.npy", np.ones((36, 48)))
+    np.save(tmp_path / f"{view.name}.npy", RAMP[None])
     camera = view.camera.resized(47, 35)
     scene = replace(small_scene, assumed={"lens": "OPENCV: distortion removed, bilinear"})
     with pytest.raises(PriorError, match=r"has the size of view001\.png, whose lens distortion is removed"):
@@ -98,7 +121,8 @@ def test_files_that_cannot_be_used_are_named(small_scene, tmp_path):
     for values, message in (
         (np.array([object()]), r"view001\.npy holds Python objects"),
         (np.array(["a"]), r"view001\.npy holds <U1"),
-        (np.full((36, 48), np.nan), "no finite value"),
+        (np.full((36, 48), np.nan), r"view001\.npy has no known value"),
+        (np.full((36, 48), 2.5), r"view001\.npy has one value only, 2\.5; make it again"),
         (np.ones((36, 48, 3)), r"view001\.npy has shape \(36, 48, 3\); a depth map is"),
     ):
         np.save(path, values)

@@ -1,3 +1,4 @@
+import importlib
 import io
 import os
 from dataclasses import replace
@@ -66,6 +67,18 @@ def test_cache(small_scene, tmp_path):
     assert (first.calls, again.calls, other.calls) == (8, 0, 8)
     assert told == [(i, 8) for i in range(1, 9)]
     assert all(np.array_equal(a[n].values, b[n].values) and b[n].kind == "metric" for n in a)
+
+
+def test_a_map_depends_on_the_code_of_its_class(small_scene, tmp_path, monkeypatch):
+    """Neither another module's class with the same identity nor an older version of the same gets its maps."""
+    monkeypatch.syspath_prepend(tmp_path)
+    made = []
+    for module, comment in (("one_prior", ""), ("other_prior", ""), ("one_prior", "# changed"), ("one_prior", "")):
+        (tmp_path / f"{module}.py").write_text(
+            f"from {__name__} import Counting\n\n\nclass Mine(Counting): {comment}\n    pass\n"
+        )
+        made.append(estimate_all(importlib.import_module(module).Mine(), small_scene, tmp_path / "maps")[1])
+    assert made == [8, 8, 8, 0]
 
 
 def test_a_map_depends_on_the_camera(small_scene, tmp_path):
