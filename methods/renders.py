@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 import torch
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, ValidationError
+from pydantic_core import ErrorDetails
 
 from methods.likeness import LEAST, details, fits_better
 from tdgbench.scenes import Scene, SceneError, View
@@ -24,13 +25,14 @@ from tdgbench.scenes.images import is_gray
 from tdgbench.scenes.inputs import hash_of, listed, read_array, read_bytes
 from tdgbench.scoring.scored_view import NotApplicableError
 from tdgbench.splats.view import Render
-from tdgbench.text import duration, named, one_line
+from tdgbench.text import duration, meant, named, one_line
 from tdgbench.training.context import Context
 from tdgbench.training.method import Frame, Method
 from tdgbench.training.part import Part, State
 
 RUN = "run.json"
 PLAUSIBLE = (-0.5, 1.5)  # the median of a render, as an image value
+FLIPS = {"upside down": (0,), "mirrored": (1,), "turned by 180°": (0, 1)}  # axes of an image (H, W, C)
 UNLIKE_SHARE = 0.2  # of renders like no image of the scene, above which they are doubted
 FORMATS = {".png": "PNG", ".jpg": "JPEG"}  # of pictures, by suffix
 Text = Annotated[str, Field(min_length=1)]
@@ -137,13 +139,21 @@ class Renders(Method):
         return Render(image, None, torch.zeros(image.shape[:2]))
 
     def doubts(self, scene: Scene) -> list[str]:
-        """Doubt renders that show another view than the one they are named after, or nothing of the scene."""
+        """Doubt renders that are flipped, show another view than the one they are named after, or another scene."""
         views = [*scene.test, *scene.train]
         masks, shown = [view.valid for view in views], details((v.thermal for v in views), [v.valid for v in views])
-        files = (self.images.for_view(view.name).numpy() for view in scene.test)
-        alike = details(files, masks[: len(scene.test)]) @ shown.T
+        files, masks = [self.images.for_view(view.name).numpy() for view in scene.test], masks[: len(scene.test)]
+        alike = details(files, masks) @ shown.T
         own, best = alike.diagonal(), alike.argmax(axis=1)
         others = fits_better(alike.max(axis=1), own)
+        flips = {
+            flip: (details((np.flip(file, axes) for file in files), masks) * shown[: len(own)]).sum(axis=1)
+            for flip, axes in FLIPS.items()
+        }
+        flip = max(flips, key=lambda name: flips[name].mean())
+        flipped = int(fits_better(flips[flip], np.abs(own)).sum())
+        if flipped > len(own) / 2:
+            return [f"{self.name}: {flipped} of {len(own)} renders look more like their image {flip}; flip them"]
         if np.median(own) < -LEAST:
             return [f"{self.name}: the renders are dark where the images are bright; is their palette inverted?"]
         doubts, count, unlike = list[str](), len(own), (own < LEAST) & ~others
@@ -165,7 +175,16 @@ class Renders(Method):
         run = read_run(self.folder / RUN, scene)
         files = self._files(scene, run)
         views = {view.name: view for view in scene.test}
-        return {name: torch.from_numpy(read_render(path, run, scene, views[name])) for name, path in files.items()}
+        images, faults = dict[str, torch.Tensor](), list[str]()
+        for name, path in files.items():
+            try:
+                images[name] = torch.from_numpy(read_render(path, run, scene, views[name]))
+            except SceneError as error:
+                faults.append(str(error))
+        if faults:
+            more = f" ({len(faults)} of {len(files)} files cannot be used; this is the first)" if faults[1:] else ""
+            raise SceneError(faults[0] + more)
+        return images
 
     def _files(self, scene: Scene, run: Run) -> dict[str, Path]:
         """Return the file of each test view. Raises SceneError for files and views without each other."""
@@ -197,6 +216,10 @@ class Renders(Method):
             problems += [f"files of no test view of {scene.name}: {named(sorted(unknown))}"] * bool(unknown)
             remedy = self._remedy(unknown) or "there must be one file per test view"
             raise SceneError(f"{self.folder}: {'; '.join(problems)}; {remedy}")
+        if "<view>" in self.layout.renders and run.views not in (None, views, list(by_view)):
+            raise SceneError(
+                f"{self.folder / RUN}: views contradicts the files, which are named by their views; remove it"
+            )
         return {view: path for view, (path,) in by_view.items()}  # in the order of the files, as they are hashed
 
     def _remedy(self, unknown: list[str]) -> str:
@@ -224,6 +247,8 @@ def read_run(path: Path, scene: Scene) -> Run:
 
     Of a file that is not there it shows an example with the split and the test views of the scene.
     """
+    if not path.parent.is_dir():
+        raise SceneError(f"{path.parent} is not there; method.folder=DIR names the folder of the renders")
     if not path.exists():
         views = [view.name for view in scene.test]
         example = json.dumps({**EXAMPLE, "split": scene.split, "views": views}, ensure_ascii=False)
@@ -234,11 +259,19 @@ def read_run(path: Path, scene: Scene) -> Run:
     try:
         run = Run.model_validate_json(read_bytes(path))
     except ValidationError as error:
-        faults = [f"{'.'.join(map(str, e['loc'])) or 'JSON'}: {one_line(e['msg'])}" for e in error.errors()]
-        raise SceneError(f"{path}: {'; '.join(faults)}") from error
+        raise SceneError(f"{path}: {'; '.join(_in_words(fault) for fault in error.errors())}") from error
     if run.split != scene.split:
         raise SceneError(f"{path}: split is {run.split}, that of {scene.name} is {scene.split}; set data.split")
     return run
+
+
+def _in_words(fault: ErrorDetails) -> str:
+    key, text = ".".join(map(str, fault["loc"])), one_line(fault["msg"])
+    if fault["type"] == "extra_forbidden":
+        text = f"is no key{meant(key, Run.model_fields)}"
+    elif fault["type"] == "missing":
+        text = "is missing"
+    return f"{key}: {text}" if key else text
 
 
 def summary_of(run: Run) -> str:
@@ -292,7 +325,10 @@ def _array(path: Path, run: Run, scene: Scene) -> np.ndarray:
             f"{path} holds {values.dtype} {values.shape}; it must hold floats (H, W), (H, W, 1) or (H, W, 3)"
         )
     if not np.isfinite(values).all():
-        raise SceneError(f"{path} has values that are not finite")
+        raise SceneError(
+            f"{path} has {np.count_nonzero(~np.isfinite(values))} values that are not finite; write a number at every "
+            "pixel, also where the scene's masks hide it"
+        )
     if run.value_range == "degC":
         span = scene.temperature
         if span is None or scene.channels != 1:

@@ -24,7 +24,9 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("kind", choices=["method"])
     parser.add_argument("name", help="of the method and of its module, such as my_method")
     name: str = parser.parse_args(arguments).name
-    if not name.isidentifier() or keyword.iskeyword(name) or name != name.lower():
+    if keyword.iskeyword(name):
+        raise ValueError(f"{name!r} is a word of Python: choose another name")
+    if not name.isidentifier() or name != name.lower():
         raise ValueError(
             f"{name!r} is no name of a module: begin with a lower-case letter, then also digits and underscores"
         )

@@ -38,6 +38,7 @@ def test_a_written_method_trains(tmp_path, data_root):
         ("MSMG", "no name"),
         ("tdg", "is a method of tdgbench"),
         ("random", "or a module"),
+        ("class", "is a word of Python"),
     ],
 )
 def test_a_name_that_is_taken_is_one_line(tmp_path, name, why):

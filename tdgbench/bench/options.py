@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, cast
@@ -58,7 +59,9 @@ def check_options(cfg: DictConfig) -> None:
     OptionError, which names all problems.
     """
     plain, unresolved = _resolved(without_hydra(cfg))
-    problems = unresolved or [*_model_problems(plain), *_object_problems(plain, ""), *impossible_numbers(plain, "")]
+    problems = unresolved or [
+        *_model_problems(plain), *_unread(cfg, plain), *_object_problems(plain, ""), *impossible_numbers(plain, "")
+    ]  # fmt: skip
     first: dict[str, Problem] = {}
     for problem in problems:
         name = _typed_name(cfg, problem.option)
@@ -98,7 +101,10 @@ def check_method_name(cfg: DictConfig, choice: str | None) -> None:
     experiment = Path(str(cfg.results)) / str(cfg.name)
     known = [*choices("method"), *(path.name for path in (experiment / "cells").glob("*"))]
     if baseline not in (None, *known):
-        known += [one for folder in _folders_of_user(cfg) for one in method_entries(folder)]
+        for file in (file for folder in _folders_of_user(cfg) for file in (folder / "method").glob("*.yaml")):
+            known.append(file.stem)
+            with suppress(Exception):  # a broken file of another method
+                known += method_entries(file.parent.parent, [file.stem])
     if baseline not in (None, *known):
         what = f"is no method, nor has it cells in {experiment}{meant(str(baseline), known)}"
         option = "method.compared_with"
@@ -195,7 +201,7 @@ class _Group(BaseModel):
 
 
 class _PlugIn(BaseModel):
-    """A group whose choices may come from elsewhere, with keys of their own."""
+    """A group whose choices may come from elsewhere, with keys of their own that its other options refer to."""
 
     model_config = ConfigDict(**STRICT, extra="allow")
 
@@ -212,7 +218,7 @@ class _Init(_PlugIn):
 
 class _Prior(_PlugIn):
     name: Annotated[str, Field(min_length=1)]
-    made_from: Literal["thermal images", "points", "truth", "files"] | None = None
+    made_from: Literal["thermal images", "points", "truth", "files"]
     estimator: dict[str, Any]
 
 
@@ -284,6 +290,22 @@ def _model_problems(plain: dict[str, Any]) -> list[Problem]:
     return []
 
 
+def _unread(cfg: DictConfig, plain: dict[str, Any]) -> Iterator[Problem]:
+    """Yield keys of plug-ins' groups that are no option and that no `${group.key}` refers to: misspelt ones."""
+    written = str(OmegaConf.to_container(cfg, resolve=False))
+    for group, field in _Options.model_fields.items():
+        kind, options = field.annotation, plain.get(group)
+        if (
+            isinstance(kind, type)
+            and issubclass(kind, _PlugIn)
+            and isinstance(options, dict)
+            and "_target_" not in options
+        ):
+            for key in options:
+                if key not in kind.model_fields and f"${{{group}.{key}}}" not in written:
+                    yield Problem(f"{group}.{key}", UNKNOWN)
+
+
 def _object_problems(plain: Any, name: str) -> Iterator[Problem]:
     """Yield problems of every `_target_` in a configuration."""
     for key, item in plain.items() if isinstance(plain, dict) else enumerate(plain) if isinstance(plain, list) else ():
@@ -321,7 +343,11 @@ def _import(path: str) -> Any:
     except ModuleNotFoundError as error:
         if not module.startswith(str(error.name)):
             raise
-        return resolve_name(path)  # `package.module.Class.name`
+        here = [file.stem for file in Path.cwd().glob("*.py")]
+        try:
+            return resolve_name(path)  # `package.module.Class.name`
+        except ModuleNotFoundError as again:
+            raise ModuleNotFoundError(f"{again}{meant(module, here)}") from error
     except AttributeError as error:
         raise AttributeError(f"{error}{meant(name, dir(sys.modules.get(module)))}") from error
 

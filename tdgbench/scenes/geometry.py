@@ -23,6 +23,7 @@ FEWEST_SEEN = 50  # points in a typical view, from which a view without any is d
 MOST_PROJECTED = 2 * 10**7  # points × views that are looked at one by one
 ANGLES = 3.0, 150.0  # degrees; a fisheye lens, which sees more, is undistorted to less
 STEP = 1.1  # ratio of focal lengths or sizes of two cameras; single images' calibrations differ by 1.05
+RESIZED = 0.25  # share of the views below which those of another size, of one lens, look resized
 MOST_KINDS = 3  # of cameras in words
 MAX_ERROR = 3e-3  # px; trained on facade, 0.003 px cost 0.01 dB, 0.012 px 0.5 dB
 
@@ -135,6 +136,14 @@ def _about_lenses(views: Sequence[View]) -> str:
     _, kind, counts = np.unique(steps, axis=0, return_inverse=True, return_counts=True)
     if len(counts) == 1:
         return ""
+    spans = numbers[:, 2] / numbers[:, 1]
+    few = [view for view, of in zip(views, kind.ravel(), strict=True) if of == counts.argmin()]
+    if np.ptp(np.log(spans)) < math.log(STEP) / 2 and len(few) <= RESIZED * len(views):
+        camera, most = few[0].camera, views[int(np.flatnonzero(kind.ravel() == counts.argmax())[0])].camera
+        return (
+            f"{_named(few)}: {camera.width}×{camera.height} px, most others {most.width}×{most.height} px, with the "
+            "same field of view: an image resized? Give all images one size, or set data.width"
+        )
     words = []
     for number in np.argsort(-counts, kind="stable")[:MOST_KINDS]:
         members = [view for view, of in zip(views, kind.ravel(), strict=True) if of == number]

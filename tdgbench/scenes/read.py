@@ -130,7 +130,7 @@ def _paired(
     unposed, unpaired = sorted(thermal.keys() - posed.keys()), sorted(posed.keys() - thermal.keys())
     alike = in_case_alone(unposed, unpaired)
     if not names:
-        some = f"thermal: {unposed[:2]}, poses: {unpaired[:2]}"
+        some = f"thermal: {unposed[:2]}, poses: {unpaired[:2]}; rename the images as the poses name them"
         why = f"in case alone differ {alike}; rename them" if alike else some
         raise SceneError(f"{folder}: no thermal image has the name of a view with a pose ({why})")
     notes = [f"thermal images without a pose may be views in another case: {alike}; rename them"] if alike else []

@@ -69,6 +69,9 @@ WRONG = [
     ("method.method._target_=no_such.Class", "method.method._target_=no_such.Class: cannot be imported"),
     ("prior.estimator.blur_px=-1", "prior.estimator.blur_px=-1: must be at least 0"),
     ("prior.made_from=clouds", "prior.made_from=clouds: must be thermal images, points, truth or files"),
+    ("~prior.made_from", "prior.made_from: is missing"),
+    ("+prior.made_form=points", "prior.made_form: is no option; did you mean prior.made_from?"),
+    ("+method.compare_with=3dgs", "method.compare_with: is no option; did you mean method.compared_with?"),
     ("dataset.loader.views=0", "dataset.loader.views=0: must be at least 2"),
     ("data.root=${nowhere}", "data.root: Interpolation key 'nowhere' not found"),
     ("method.name=''", "method.name='': must not be empty"),
@@ -109,12 +112,14 @@ def test_all_problems_are_in_one_message_once():
 
 
 CHOICES = {group: sorted(path.stem for path in (ROOT / "conf" / group).glob("*.yaml")) for group in GROUPS}
-OF_FILES = ("++method.folder=DIR", "++method.ply=FILE")  # without a default
+OF_FILES = {"renders": "++method.folder=DIR", "model": "++method.ply=FILE"}  # without a default
 
 
 @pytest.mark.parametrize("number", range(max(map(len, CHOICES.values()))))
 def test_every_choice_of_every_group_is_allowed(number):
-    check_options(config(*(f"{group}={found[number % len(found)]}" for group, found in CHOICES.items()), *OF_FILES))
+    chosen = {group: found[number % len(found)] for group, found in CHOICES.items()}
+    words = [f"{group}={choice}" for group, choice in chosen.items()]
+    check_options(config(*words, *filter(None, [OF_FILES.get(chosen["method"])])))
 
 
 def test_options_without_what_they_belong_to():
@@ -155,8 +160,12 @@ def test_parameters_of_a_plug_in_without_annotations_must_be_finite(tmp_path, mo
     code += "class Mine(Method):\n    def __init__(self, weight, other=()):\n        pass\n"
     (tmp_path / "mine_without.py").write_text(code, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
     cfg = config()
-    OmegaConf.update(cfg, "method.method", {"_target_": "mine_without.Mine", "weight": 1.0}, merge=False)
+    OmegaConf.update(cfg, "method.method", {"_target_": "mine_wihtout.Mine", "weight": 1.0}, merge=False)
+    with pytest.raises(OptionError, match=r"No module named 'mine_wihtout'; did you mean mine_without\?"):
+        check_options(cfg)
+    OmegaConf.update(cfg, "method.method._target_", "mine_without.Mine")
     check_options(cfg)
     OmegaConf.update(cfg, "method.method.weight", [1.0, float("nan")])
     with pytest.raises(OptionError, match=r"method\.method\.weight\[1\]=nan: must be a finite number"):
@@ -175,7 +184,8 @@ def test_the_file_of_a_method_of_the_user_is_named(tmp_path):
 
     with pytest.raises(OptionError, match=f"order=first: must be a valid integer .in {file}"):
         check_options(composed("method.order=first"))
+    (tmp_path / "method" / "broken.yaml").write_text("name: a: b\n")
     with pytest.raises(OptionError, match=f"is no method, .*; did you mean 3dgs. .in {file}"):
         check_method_name(composed("method.compared_with=3dg"), None)
-    for baseline in ("3dgs", "mine"):
+    for baseline in ("3dgs", "mine", "broken"):
         check_method_name(composed(f"method.compared_with={baseline}"), None)

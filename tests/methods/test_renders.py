@@ -141,13 +141,14 @@ def test_pictures_of_8_bits_are_read_exactly(small_gray_scene, small_scene, tmp_
 
 
 def test_gray_renders_fill_the_channels_of_the_scene(small_gray_scene, tmp_path):
-    folder = write_run(tmp_path / "renders")
-    for view in small_gray_scene.test:
+    scene, folder = small_gray_scene, write_run(tmp_path / "renders")
+    for view in scene.test:
         np.save(folder / f"{view.name}.npy", view.thermal.repeat(3, axis=2))
-    for view in small_gray_scene.test:
-        assert np.array_equal(rendered(small_gray_scene, folder)[view.name], view.thermal)
-    colored = replace(small_gray_scene, channels=3)
-    for view in small_gray_scene.test:
+    for view in scene.test:
+        assert np.array_equal(rendered(scene, folder)[view.name], view.thermal)
+    views = [[view.with_thermal(view.thermal.repeat(3, axis=2)) for view in part] for part in (scene.train, scene.test)]
+    colored = replace(scene, channels=3, train=views[0], test=views[1])
+    for view in scene.test:
         np.save(folder / f"{view.name}.npy", view.thermal[..., 0])
     assert rendered(colored, folder)[view.name].shape[2] == 3
 
@@ -164,6 +165,9 @@ DOUBTED = {
     "": lambda images: [images[0] * 0.5 + 0.2, *images[1:]],
     "2 of 2 renders look more like another view than like their own (view000 shows view005, view005 shows view000)":
         lambda images: images[::-1],
+    "2 of 2 renders look more like their image upside down; flip": lambda images: [one[::-1] for one in images],
+    "2 of 2 renders look more like their image mirrored; flip": lambda images: [one[:, ::-1] for one in images],
+    "2 of 2 renders look more like their image turned by": lambda images: [one[::-1, ::-1] for one in images],
     "are dark where the images are bright; is their palette inverted?": lambda images: [1 - one for one in images],
     "are like no image of turntable": lambda images: [
         np.random.default_rng(0).random(one.shape, np.float32) for one in images
@@ -242,7 +246,9 @@ def test_jpegs_of_thermonerf_are_read(small_gray_scene, tmp_path):
 
 FAULTS = {
     "it must hold floats": lambda path, values: np.save(path, (values * 255).astype(np.uint8)),
-    "has values that are not finite": lambda path, values: np.save(path, np.where(values > 0, np.nan, values)),
+    "has 1 values that are not finite; write": lambda path, values: np.save(
+        path, np.where(np.arange(values.size).reshape(values.shape) == 7, np.nan, values)
+    ),
     "has 24×18 px, its view 48×36 px": lambda path, values: np.save(path, values[::2, ::2]),
     "has 36×48 px": lambda path, values: np.save(path, values.transpose(1, 0, 2)),
     "is coloured": lambda path, values: np.save(path, values * np.float32([1, 0.5, 0.2])),
@@ -281,7 +287,9 @@ def test_a_faulty_file_is_an_error_that_names_it(small_gray_scene, tmp_path, mes
         ({"wall_time": -1}, "wall_time: Input should be greater than or equal to 0"),
         ({"wall_time": "1 h"}, "wall_time: Input should be a valid number"),
         ({"system": ""}, "system: String should have at least 1 character"),
-        ({"licence": "MIT"}, "licence: Extra inputs are not permitted"),
+        ({"licence": "MIT"}, "licence: is no key"),
+        ({"veiws": []}, "veiws: is no key; did you mean views?"),
+        ({"views": ["view005", "view000"]}, "views contradicts the files, which are named by their views; remove it"),
         ({"split": "every_8th"}, "split is every_8th, that of"),
     ],
 )
@@ -295,14 +303,18 @@ def test_all_faults_of_run_json_are_named_at_once(small_gray_scene, tmp_path):
     content = json.loads((folder / "run.json").read_text())
     del content["system"]
     (folder / "run.json").write_text(json.dumps(content))
-    assert "system: Field required; device: Input should be a valid string" in error_of(small_gray_scene, folder)
+    assert "system: is missing; device: Input should be a valid string" in error_of(small_gray_scene, folder)
     (folder / "run.json").write_text("{")
-    assert "JSON: Invalid JSON" in error_of(small_gray_scene, folder)
+    assert "run.json: Invalid JSON: " in error_of(small_gray_scene, folder)
     (folder / "run.json").unlink()
     first, example = error_of(small_gray_scene, folder).splitlines()
     assert "run.json, which says what made the renders, is missing; fill in the example" in first
     (folder / "run.json").write_text(example)
     assert rendered(small_gray_scene, folder)
+    for file in folder.glob("*.npy"):
+        np.save(file, np.load(file)[1:])
+    assert "(2 of 2 files cannot be used; this is the first)" in error_of(small_gray_scene, folder)
+    assert "elsewhere is not there; method.folder=DIR" in error_of(small_gray_scene, tmp_path / "elsewhere")
 
 
 def test_a_camera_that_changes_training_is_refused(run, tmp_path, small_gray_scene):

@@ -92,9 +92,10 @@ def test_cameras_of_several_kinds_are_named():
     large = [camera([0, 0.1, 0], size=(320, 240), focal=300), camera([0, 0.2, 0], size=(320, 240), focal=300)]
     (doubt,) = doubts_of(scene_of([*row(), *large], wall()))
     assert doubt.startswith(
-        "cameras of 2 kinds (view v0000 and 39 more: 160×120 px, focal length 150 px; view v0040 and 1"
+        "view v0040 and 1 more: 320×240 px, most others 160×120 px, with the same field of view: an"
     )
     (doubt,) = doubts_of(scene_of([*row(), camera([0, 0.1, 0], focal=200)], wall()))
+    assert doubt.startswith("cameras of 2 kinds (view v0000 and 39 more: 160×120 px, focal length 150 px; view v0040: ")
     assert "view v0040: 160×120 px, focal length 200 px" in doubt
     upright = camera([0, 0.1, 0], size=(120, 160))
     one_by_one = [camera([x, 0, 0], focal=150 * (1 + 0.04 * np.sin(40 * x)), size=(160, 119)) for x in (0, 0.1, 0.2)]
