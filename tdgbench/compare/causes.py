@@ -56,16 +56,16 @@ class Cause(NamedTuple):
 
     @property
     def scope(self) -> str:
-        """` (LPIPS alone)` where a setting of the protocol does not decide all scores; else empty."""
+        """What it decides, `LPIPS alone`, where a setting of the protocol does not decide all scores; else empty."""
         if self.name == ADDED:
-            return " (adds scores)"
+            return "adds scores"
         labels = dict.fromkeys(MEASURES[name].label for name in self.scores if name in MEASURES)
-        return f" ({', '.join(labels)} alone)" if self.scores and self.scores is not MEASURES else ""
+        return f"{', '.join(labels)} alone" if self.scores and self.scores is not MEASURES else ""
 
     def sentence(self, pairs: int) -> str:
         """Return the change, which scores it decides, and in how many of the pairs it is if not in all."""
         some = "" if self.cells == pairs else f" (in {self.cells} of {pairs} cells)"
-        return f"{self.change}{self.scope}{some}"
+        return f"{self.change}{f' ({self.scope})' if self.scope else ''}{some}"
 
 
 def find_causes(pairs: Pairs) -> list[Cause]:

@@ -109,7 +109,7 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     of_scores = table.loc[table["metric"].isin(METRICS), "verdict"]
     sentences = compared.verdicts(table, pairs)
     if set(of_scores) - {NOT_COMPARED} == {IDENTICAL}:
-        found.append(f"all scores that both have are identical, in {len(pairs)} cell{'s' * (len(pairs) > 1)}")
+        found.append(f"all scores that are compared are identical, in {len(pairs)} cell{'s' * (len(pairs) > 1)}")
         sentences = [sentence for sentence in sentences if NOT_COMPARED in sentence]
     found += sentences
     if (table.loc[table["verdict"] == UNDECIDED, "seeds"] == 1).any():
@@ -130,7 +130,7 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     if any(cause.kind == MACHINE and cause.name.split(".")[0] in OF_TIMES for cause in causes):
         found.append("their machines or threads differ, which may be why their times do")
     scopes = {kind: {cause.scope for cause in causes if cause.kind == kind} for kind in KINDS}
-    kinds = [f"{kind}{''.join(sorted(of_kind - {''})) if '' not in of_kind else ''}"
+    kinds = [kind if "" in of_kind else f"{kind} ({', '.join(sorted(of_kind))})"
              for kind, of_kind in scopes.items() if of_kind]  # fmt: skip
     found.append(f"what differs: {', '.join(kinds)}" if kinds else "settings, data, code and machine are the same")
     found.append("the ground truth of both is what their files say: tdgbench verify compares it with the data")

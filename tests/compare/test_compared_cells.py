@@ -83,7 +83,7 @@ def test_cells_of_one_experiment_alone_are_named(tmp_path, capsys):
     assert "means are over seed 0, which both have; A has seeds 1, 2 as well, which its tables average" in out
     assert "finished in A alone: tdg on RGBT-Scenes/Truck, colmap, seed 1 and 1 more" in out
     assert "finished in B alone: tdg on RGBT-Scenes/Lion" in out
-    assert "all scores that both have are identical, in 1 cell\n" in out
+    assert "all scores that are compared are identical, in 1 cell\n" in out
 
 
 def test_what_differs_is_told_by_what_it_decides(tmp_path):
@@ -124,7 +124,7 @@ def test_a_score_that_cannot_be_compared_leaves_the_others(tmp_path, capsys, ext
     a, b = two_experiments(tmp_path, [20.0], [20.0], **extra)
     assert main([str(a), str(b), "--out", str(tmp_path / "out")]) == status
     out = capsys.readouterr().out
-    assert f"found: LPIPS: not compared, {said}\n" in out and "all scores that both have are identical" in out
+    assert f"found: LPIPS: not compared, {said}\n" in out and "all scores that are compared are identical" in out
     table = pd.read_csv(tmp_path / "out" / "compare.csv").set_index("metric")
     assert (table.loc["lpips", "verdict"], table.loc["lpips", "reason"]) == ("not compared", said)
     assert np.isnan(table.loc["lpips", "difference"]) and table.loc["ssim", "verdict"] == "identical"
