@@ -211,7 +211,7 @@ def test_other_options_are_refused(words, why, experiment, capsys):
 
 def test_its_own_folder_and_empty_ones_are_refused(experiment, tmp_path, capsys):
     assert main([str(experiment), str(experiment)]) == 1 and "name another folder" in capsys.readouterr().err
-    assert main([str(tmp_path / "none"), str(tmp_path / "b")]) == 1 and "no finished cell" in capsys.readouterr().err
+    assert main([str(tmp_path / "none"), str(tmp_path / "b")]) == 1 and "is not there" in capsys.readouterr().err
 
 
 OPTIONS = {"ssim_border": "metrics.ssim_border=valid", "lpips_range": "metrics.lpips_range=signed"}

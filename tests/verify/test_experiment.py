@@ -24,7 +24,7 @@ def spoiled(small_results, tmp_path):
 
 
 def test_sound_results(small_results, capsys):
-    assert verify(small_results) == (4, 3, [], 3, (), (), ())
+    assert verify(small_results)[:-1] == (4, 3, [], 3, (), (), ())
     assert main([str(small_results)]) == 0 and "4 cells, 3 of them finished, 0 problems" in capsys.readouterr().out
 
 
@@ -90,7 +90,7 @@ def test_folders_without_records_are_named_and_the_others_verified(small_results
     make(folder)
     with pytest.raises(ValueError, match=message):
         verify(folder)
-    message = "is no pack, or damaged" if folder.is_file() else message
+    message = "is no pack (not a whole zip file)" if folder.is_file() else message
     assert main([str(folder), str(small_results)]) == 1
     out, err = capsys.readouterr()
     assert message in err and r"[red]\nx" in err and err.count("\n") == 1
