@@ -32,11 +32,11 @@ def draw_strip(cells: Sequence[CellFolder], target: Path, label: Callable[[str],
         first.setdefault((cell.record.dataset, cell.record.scene, cell.record.split, cell.record.method), cell)
     below = len(methods) > MOST_BESIDE  # errors have a row of their own
     rows, columns = len(scenes) * (1 + below), 1 + len(methods) * (2 - below)
-    figure = Figure(figsize=(2.4 * columns, 1.95 * rows))
+    figure = Figure(figsize=(2.4 * columns, 2.1 * rows))
     axes = figure.subplots(rows, columns, squeeze=False)
-    margin_x, margin_y, title = 0.03 / columns, 0.03 / rows, 0.1 / rows  # shares of the figure
+    margin_x, margin_y, title = 0.03 / columns, 0.03 / rows, 0.16 / rows  # shares of the figure
     figure.subplots_adjust(
-        left=margin_x, right=1 - margin_x, bottom=margin_y, top=1 - margin_y - title, wspace=0.06, hspace=0.15
+        left=margin_x, right=1 - margin_x, bottom=margin_y, top=1 - margin_y - title, wspace=0.06, hspace=0.24
     )
     for axis in axes.flat:
         axis.set_axis_off()
@@ -44,8 +44,7 @@ def draw_strip(cells: Sequence[CellFolder], target: Path, label: Callable[[str],
         drawn = {m: first[*place, method] for m, method in enumerate(methods) if (*place, method) in first}
         view = middle_view(drawn.values())
         scale = view_scale(drawn.values(), view)
-        colours = f", {scale.span}" if scale.span else ""
-        row[0].set_title(f"{plain(place_name(place, scenes))}: ground truth{colours}", **TITLE)
+        row[0].set_title(f"{plain(place_name(place, scenes))}: ground truth\n{scale.span}", **TITLE)
         for m, cell in drawn.items():
             axes_of_cell = row[0], row[1 + m], errors[1 + m + (0 if below else len(methods))]
             _draw_cell(axes_of_cell, cell, view, scale, plain(label(cell.record.method)))
@@ -58,7 +57,7 @@ def _draw_cell(axes: tuple[Axes, Axes, Axes], cell: CellFolder, view: str, scale
     """Draw ground truth, render and error of a cell's test view; n/a where its pictures cannot be read."""
     on_truth, on_render, on_error = axes
     psnr = cell.record.scores.get("psnr")
-    title = f"{name}, {'n/a' if psnr is None else f'{psnr:.1f} dB'} over all views"
+    title = f"{name}, seed {cell.record.seed}\n{'n/a' if psnr is None else f'{psnr:.1f} dB'}, all test views"
     on_render.set_title(title, **TITLE)
     try:
         shown = view_pictures(cell, view, scale)
@@ -68,7 +67,7 @@ def _draw_cell(axes: tuple[Axes, Axes, Axes], cell: CellFolder, view: str, scale
     on_truth.imshow(shown.truth)
     on_render.imshow(shown.render)
     on_error.imshow(shown.error)
-    on_error.set_title(f"{name}: error, 0 to {scale.error_end}", **TITLE)
+    on_error.set_title(f"{name}: error\n0 to {scale.error_end}", **TITLE)
 
 
 def place_name(place: tuple[str, str, str], places: Iterable[tuple[str, str, str]]) -> str:

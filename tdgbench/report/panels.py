@@ -110,7 +110,8 @@ def error_panel(
                   label=plain(label))  # fmt: skip
         mean = float((counts * levels).sum() / counts.sum() * step)
         digits = max(0, int(np.ceil(-np.log10(max(step, 1e-9)))))
-        within = (f"{_within(counts, levels, share) * step:.{digits}f}" for share in SHARES)
+        ends = [_within(counts, levels, share) * step for share in SHARES]
+        within = (f"{end:.{digits}f}" if end else f"< {10.0**-digits:g}" for end in ends)
         rows.append([label, *within, f"{round(mean, digits + 1) + 0.0:+.{digits + 1}f}"])
     axes.set_yscale("log")
     heads = ["method", *(f"{100 * share:.0f} % within ±, °C" for share in SHARES), "mean, °C"]

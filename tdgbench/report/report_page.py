@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from tdgbench.cells.record import Record
+from tdgbench.cells.record import Record, SkipRecord
 from tdgbench.files import write_text
 from tdgbench.present.html import STEPS, embedded, environment
 from tdgbench.present.strip import place_name
@@ -30,6 +31,7 @@ from tdgbench.tables.verdicts import comparable, load_margins, verdicts_in_words
 from tdgbench.text import named
 
 FILE = "report.html"
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
 MOST_BYTES = 2_000_000
 
 
@@ -86,18 +88,40 @@ def in_order(results: Results) -> list[Cell]:
 
 
 def skipped_work(records: Sequence[Record]) -> list[tuple[str, str, str, str]]:
-    """Return name, saving and reason of each skip, and the cells that they are of: equal ones once."""
-    said: dict[tuple[str, str, str], list[Record]] = {}
+    """Return each skip, the methods, what it saved and the reason: one row per method, with the range of numbers."""
+    found: dict[tuple[str, str], list[SkipRecord]] = {}
     for record in records:
         for skip in record.skips:
-            key = skip["name"], skip["saved"] if skip["taken"] else "nothing", skip["reason"]
-            said.setdefault(key, []).append(record)
-    order = list(dict.fromkeys(name for name, *_ in said))
-    rows = [
-        (*key, "all cells" if len(group) == len(records) else named(map(cell_title, group)))
-        for key, group in said.items()
-    ]
-    return sorted(rows, key=lambda row: (order.index(row[0]), row[1] == "nothing"))
+            method = methods.label(method_label(record, with_init=True))
+            found.setdefault((skip["name"], method), []).append(skip)
+    rows: dict[tuple[str, str, str], list[str]] = {}
+    for (name, method), skips in found.items():
+        saved = [skip["saved"] if skip["taken"] else "nothing" for skip in skips]
+        said = name, "; ".join(in_ranges(saved)), "; ".join(in_ranges(skip["reason"] for skip in skips))
+        rows.setdefault(said, []).append(method)
+    order = list(dict.fromkeys(name for name, _ in found))
+    return sorted(
+        ((name, named(them), saved, reason) for (name, saved, reason), them in rows.items()),
+        key=lambda row: (order.index(row[0]), row[2] == "nothing"),
+    )
+
+
+def in_ranges(texts: Iterable[str]) -> list[str]:
+    """Return texts that differ in numbers alone once, with the range of each number.
+
+    >>> in_ranges(["12 of 40 views", "9 of 40 views", "nothing"])
+    ['9 to 12 of 40 views', 'nothing']
+    """
+    found: dict[str, list[list[str]]] = {}
+    for text in texts:
+        found.setdefault(NUMBER.sub("\0", text), []).append(NUMBER.findall(text))
+    lines = []
+    for form, numbers in found.items():
+        ends = [sorted(set(column), key=float) for column in zip(*numbers, strict=True)]
+        ranges = [" to ".join(dict.fromkeys((end[0], end[-1]))) for end in ends]
+        first, *rest = form.split("\0")
+        lines.append(first + "".join(one + text for one, text in zip(ranges, rest, strict=True)))
+    return lines
 
 
 def legend(tables: Tables) -> list[dict[str, str]]:

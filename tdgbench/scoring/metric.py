@@ -35,6 +35,8 @@ class Measure:
     overall_digits: int | None = None  # of the average over all scenes; None: `digits`
     unit: str = ""
     higher_is_better: bool = False
+    has_better_side: bool = True  # else no arrow, bold type or verdict
+    of_all_views: bool = False  # one value of the pixels of all test views: no interval over views
     limits: tuple[float, float] = (0.0, math.inf)
     images: str = ""  # the images that the number is of; empty: thermal test views
     latex: str = ""  # label in LaTeX; empty: `label`
@@ -43,8 +45,8 @@ class Measure:
 
     @property
     def arrow(self) -> str:
-        """The better direction."""
-        return "↑" if self.higher_is_better else "↓"
+        """The better direction, if there is one."""
+        return "" if not self.has_better_side else "↑" if self.higher_is_better else "↓"
 
     @property
     def suffix(self) -> str:
@@ -58,13 +60,13 @@ class Measure:
     @property
     def column(self) -> str:
         """Heading on the terminal."""
-        return self.label + self.arrow
+        return self.label + f", {self.unit}" * (self.unit == "°C") + self.arrow
 
     @property
     def title(self) -> str:
         """Heading in the report."""
         name = f"{self.label} of the {self.images}" if self.images else self.label
-        return f"{name}{f', {self.unit}' if self.unit else ''} {self.arrow}"
+        return f"{name}{f', {self.unit}' if self.unit else ''} {self.arrow}".rstrip()
 
     @property
     def latex_column(self) -> str:

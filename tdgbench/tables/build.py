@@ -100,7 +100,7 @@ class Tables:
     def latex(self) -> str:
         if self.is_ablation:
             return ablation_table(self.main, self.grid)
-        return main_table(self.main, self.grid, self.columns)
+        return main_table(self.main, self.grid, self.columns, [one.record for one in self.results.finished])
 
 
 def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:
@@ -127,6 +127,7 @@ def _main(results: Results, options: TableOptions) -> Tables:
     cells = cell_rows(records, results.plan, asked=[name for name in ASKED if name in options.columns])
     main, by_seed = with_seeds(with_protocols(with_averages(scene_rows(cells)), records), cells)
     main = main.merge(intervals(results.finished), on=KEYS, how="left")
+    main.loc[main["value"].isna(), ["ci95_low", "ci95_high"]] = float("nan")
     main, notes, problems = Trainings(records, COLUMN_OF, options.is_ranking_unlike).set_apart(main)
     finished = [cell.record for cell in results.finished]
     equal = equal_scenes(finished)

@@ -110,7 +110,7 @@ def best_or_tied(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.nda
     """
     known = np.flatnonzero(~np.isnan(values))
     marks = np.zeros(len(values), dtype=bool)
-    if len(known) < 2:
+    if len(known) < 2 or not MEASURES[metric].has_better_side:
         return marks
     best = max(known, key=lambda i: gain(metric, values[i], 0.0))
     changes = {i: change_over_seeds(metric, by_seed[i], by_seed[best]) for i in known if i != best}
@@ -141,7 +141,8 @@ def compare_methods(
     not count. Nor do those of unlike trainings (column `training` of main), nor times of two machines, seed by seed.
     """
     once = [place not in equal for place in zip(cells["dataset"], cells["scene"], strict=True)]
-    counted = cells[np.array(once, dtype=bool) & ~cells["metric"].isin(TRAINING)]
+    sided = [name for name, measure in MEASURES.items() if measure.has_better_side and name not in TRAINING]
+    counted = cells[np.array(once, dtype=bool) & cells["metric"].isin(sided)]
     scored = main.loc[main["metric"].isin(MAIN_COLUMNS) & main["value"].notna(), "method"].unique()
     # a baseline without scores is compared with only where no pair has them, to say why
     pairs = methods.baselines(scored) or methods.baselines(main["method"].unique())

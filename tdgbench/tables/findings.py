@@ -86,7 +86,7 @@ def findings_of_ablation(
 def _caveats(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     """Yield what the findings of a main table are no evidence of."""
     if records and all(any(skip["reason"] == STILL_FALLING for skip in record.skips) for record in records):
-        yield "All trainings stopped at their last iteration, before any plateau of the loss: longer ones may compare differently"
+        yield "All trainings stopped at their last iteration, before a plateau of the loss; longer ones may differ"
     scenes = main[~_is_average(main)]
     once = f"one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
     data_sets = set(scenes["dataset"])
@@ -194,7 +194,7 @@ def prior_source(record: Record) -> str:
 
 
 def _counts(paired: pd.DataFrame) -> str:
-    """Return on how many scenes a method is better, worse, equal and undecided, by metric, with p. paired: `paired_tests`."""
+    """Return on how many scenes a method is better, worse, equal, undecided, by metric, with p."""
     parts = []
     for row in paired[paired["metric"].isin(MAIN_COLUMNS)].itertuples():
         words = [f"{word} on {n}" for word in COUNTED if (n := getattr(row, word))]

@@ -30,6 +30,8 @@ from tdgbench.tables.palette import is_marked, palette_notes, with_mark
 from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.text import named
 
+SPREAD = "± is the standard deviation over seeds"
+TIMES = "times: training of all models of a method, an RGB model too, without making depth priors"
 SCENE_KEYS = ["dataset", "scene", "method"]
 ERROR, RANGE_TITLE = "mae_degC", "range, °C"
 ABLATION_KEYS = ["method", "init", "metric"]
@@ -55,7 +57,8 @@ def main_grid(
             heads = (place[0], with_mark(place[1], group), methods.label(place[2]))
             cells = _cells(group, place, metrics, published)
             rows.append(GridRow(heads, cells, place, str(group["group"].iloc[0]), is_marked(group)))
-    lines = [*protocol_notes(main), *_bold_note(main), *palette_notes(main), *notes]
+    times = [TIMES] * bool(HOURS.name in metrics and main["value"][main["metric"] == HOURS.name].notna().any())
+    lines = [*protocol_notes(main), *_number_notes(main), *times, *palette_notes(main), *notes]
     titles = [RANGE_TITLE if metric == RANGE else MEASURES[metric].title for metric in metrics]
     return Grid(["data set", "scene", "method"], titles, rows, lines, metrics)
 
@@ -66,8 +69,8 @@ def _usual_columns(main: pd.DataFrame) -> tuple[str, ...]:
     return tuple(one for name in COLUMNS for one in (name, *beside.get(name, ())))
 
 
-def _bold_note(main: pd.DataFrame) -> list[str]:
-    return [bold_note()] if main["bold"].any() else []
+def _number_notes(main: pd.DataFrame) -> list[str]:
+    return [*([bold_note()] if main["bold"].any() else []), *[SPREAD] * bool(main["std"].notna().any())]
 
 
 def further_grid(main: pd.DataFrame) -> Grid | None:
@@ -76,7 +79,8 @@ def further_grid(main: pd.DataFrame) -> Grid | None:
     metrics = [metric for metric in EXTRA if metric in known]
     if not metrics:
         return None
-    return replace(main_grid(main, None, metrics), notes=palette_notes(main))
+    spread = [SPREAD] * bool(main.loc[main["metric"].isin(metrics), "std"].notna().any())
+    return replace(main_grid(main, None, metrics), notes=[*spread, *palette_notes(main)])
 
 
 def ablation_grid(main: pd.DataFrame, difference: pd.DataFrame | None, notes: Sequence[str] = ()) -> Grid:
@@ -86,7 +90,7 @@ def ablation_grid(main: pd.DataFrame, difference: pd.DataFrame | None, notes: Se
         place = (str(method), str(init))
         heads = (with_mark(methods.label(place[0]), group), place[1])
         rows.append(GridRow(heads, _cells(group, place, ABLATION, published), place, "", is_marked(group)))
-    lines = [*initial_points(main), *_bold_note(main), *palette_notes(main), *notes]
+    lines = [*initial_points(main), *_number_notes(main), *palette_notes(main), *notes]
     return Grid(["method", "initial points"], [MEASURES[metric].title for metric in ABLATION], rows, lines, ABLATION)
 
 

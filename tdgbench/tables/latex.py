@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
@@ -10,15 +11,18 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from tdgbench.cells.record import Record
 from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scenes.registry import GROUPS, SCENES
 from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
-from tdgbench.tables.grids import ERROR
-from tdgbench.tables.long_table import RANGE, initial_points, protocol_notes
+from tdgbench.tables.findings import SYNTHETIC, given_priors
+from tdgbench.tables.grids import ERROR, reasons_for_na
+from tdgbench.tables.likeness import RANK_UNLIKE
+from tdgbench.tables.long_table import RANGE, initial_points, method_label, planned_iterations, protocol_notes
 from tdgbench.tables.measures import ABLATION, ABLATION_PAIRS, AVERAGE, HOURS, MAIN_COLUMNS, MEASURES, OVERALL, digits
 from tdgbench.tables.palette import MARK
-from tdgbench.text import one_line
+from tdgbench.text import named, one_line
 
 LABELS = {scene.name: scene.label for scene in SCENES}
 ESCAPES = {
@@ -68,20 +72,49 @@ def tabular(
     \end{tabular}
     """
     begin = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule"]
-    lines = [rf"\multicolumn{{{len(columns)}}}{{l}}{{\footnotesize {_below(note)}}} \\" for note in below]
+    wrapped = rf"\multicolumn{{{len(columns)}}}{{p{{\linewidth}}}}"
+    lines = [rf"{wrapped}{{{{\footnotesize\raggedright {_below(note)}\par}}}} \\" for note in below]
     notes = [f"% {one_line(note)}" for note in notes]
     return "\n".join([*notes, *begin, *heads, *body, r"\bottomrule", *lines, r"\end{tabular}", ""])
 
 
 def _below(note: str) -> str:
+    if note.endswith(f"{RANK_UNLIKE}: they are)"):
+        note = "Columns of unlike trainings are not compared."
     return (LATEX_MARK if note.startswith(MARK) else "") + escape(note.removeprefix(MARK))
 
 
-def main_table(main: pd.DataFrame, grid: Grid, columns: Sequence[str] = ()) -> str:
+def setup_notes(records: Sequence[Record]) -> list[str]:
+    """Return what has to be known of the trainings behind a table: scenes, priors, seeds, budget, LPIPS, machine."""
+    if not records:
+        return []
+    built_in = any(record.dataset.startswith(SYNTHETIC) for record in records)
+    seeds = Counter((method_label(one, with_init=True), one.dataset, one.scene) for one in records).values()
+    facts = {
+        "seeds": [" to ".join(map(str, sorted({min(seeds), max(seeds)})))],
+        "budget": [
+            f"{one.setting('budget.name')}, {planned_iterations(one)} iterations"
+            for one in records
+            if one.setting("budget.name")
+        ],
+        "LPIPS network": [
+            record.setting("metrics.lpips.net") for record in records if record.scores.get("lpips") is not None
+        ],
+        "machine of the times": [record.environment.get("cpu") for record in records],
+    }
+    listed = {name: named(str(value) for value in values if value) for name, values in facts.items()}
+    said = [f"{name}: {values}" for name, values in listed.items() if values]
+    return ["Built-in scenes: no evidence on the paper's claims."] * built_in + [
+        *given_priors(records),
+        "; ".join(said),
+    ]
+
+
+def main_table(main: pd.DataFrame, grid: Grid, columns: Sequence[str] = (), records: Sequence[Record] = ()) -> str:
     """Return a standalone `tabular` of scenes down, methods × measures across; it needs the package booktabs.
 
     grid: `main_grid` of the main table. columns: measures; by default those of the paper, and the error in °C beside
-    PSNR where the grid has it.
+    PSNR where the grid has it. records: of the finished cells.
     """
     measures = [name for name in grid.names if name in (columns or (*MAIN_COLUMNS, ERROR))]
     labels = list(dict.fromkeys(row.place[2] for row in grid.rows))
@@ -94,8 +127,9 @@ def main_table(main: pd.DataFrame, grid: Grid, columns: Sequence[str] = ()) -> s
         if scene == OVERALL:
             lines.append(r"\midrule")
         elif dataset != before[0]:
-            lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{\textbf{{{escape(dataset)}}}}} \\"]
-        if group and (dataset, group) != before:
+            title = f"Built-in scenes ({dataset})" if dataset.startswith(SYNTHETIC) else dataset
+            lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{\textbf{{{escape(title)}}}}} \\"]
+        if group and (dataset, group) != before and not dataset.startswith(SYNTHETIC):
             title = escape(GROUPS.get(group, group))
             lines.append(rf"\multicolumn{{{width}}}{{l}}{{\quad\textbf{{{title}}}}} \\")
         before = dataset, group
@@ -103,7 +137,8 @@ def main_table(main: pd.DataFrame, grid: Grid, columns: Sequence[str] = ()) -> s
         values = [_number(rows[m].cells[i], grid.names[i], scene, unit) for m in labels for i in at]
         lines.append(f"{_row_title(scene)}{_range(rows.values(), grid)}{mark} & {' & '.join(values)} \\\\")
     comments = protocol_notes(main)
-    below = [note for note in grid.notes if note not in comments]
+    notes = [*grid.notes, *reasons_for_na(main, measures), *setup_notes(records)]
+    below = [note for note in notes if note not in comments]
     return tabular("l" + "c" * (width - 1), _heads(labels, measures, unit), lines, comments, below)
 
 
@@ -137,12 +172,12 @@ def _heads(labels: Sequence[str], measures: Sequence[str], unit: TimeUnit) -> li
     titles = [rf"\multicolumn{{{count}}}{{c}}{{{escape(methods.label(m))}}}" for m in labels]
     rules = [rf"\cmidrule(lr){{{2 + i * count}-{1 + (i + 1) * count}}}" for i in range(len(labels))]
     names = [rf"Time [{unit.name}] $\downarrow$" if name == HOURS.name else _title(MEASURES[name]) for name in measures]
-    return [f"Dataset & {' & '.join(titles)} \\\\", "".join(rules), f" & {' & '.join(names * len(labels))} \\\\"]
+    return [f"Scene & {' & '.join(titles)} \\\\", "".join(rules), f" & {' & '.join(names * len(labels))} \\\\"]
 
 
 def _title(measure: Measure) -> str:
     """Return a measure's heading; those without one of LaTeX have that of the terminal."""
-    label = measure.label + (f", {measure.images}" if measure.images else "")
+    label = measure.label + (f", {measure.images}" if measure.images else "") + ", °C" * (measure.unit == "°C")
     return replace(measure, latex=measure.latex or escape(label)).latex_column
 
 

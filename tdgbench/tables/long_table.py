@@ -22,7 +22,7 @@ SPLITS = {
     "folder": "the shipped train/ and test/ folders, as both releases read them",
 }
 RANGE = "range_degC"  # column of main.csv
-NO_RECORD = "not run, or the scene is not on disk"
+NO_RECORD = "no cell here: not run or scored, or the scene is not on disk"
 
 
 def method_label(record: Record, with_init: bool) -> str:
@@ -149,7 +149,9 @@ def _averages(rows: pd.DataFrame, over: list[str]) -> pd.DataFrame:
     reasons = rows[rows["value"].isna() & (rows["reason"] != "")].groupby(over, sort=False)["reason"]
     known = means(rows, over).join([lacking, reasons.agg(one="first", count="nunique")])
     several = known["sum"].astype(str) + " of " + known["size"].astype(str) + " scenes are n/a"
-    known["reason"] = known["one"].where(known["count"] == 1, several).where(known["sum"] > 0, "")
+    known["reason"] = (
+        known["one"].where((known["count"] == 1) & (known["sum"] == known["size"]), several).where(known["sum"] > 0, "")
+    )
     return known[["value", "reason"]].reset_index().assign(group="")
 
 

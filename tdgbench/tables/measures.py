@@ -21,6 +21,7 @@ from tdgbench.text import duration
 
 KEYS = ["method", "dataset", "group", "scene", "metric"]
 AVERAGE, OVERALL = ROWS_OF_AVERAGES
+SHORTEST = 59.95  # seconds of a time that is printed as h:mm:ss
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +32,7 @@ class RecordMeasure(Measure):
 
 
 HOURS = RecordMeasure(
-    name="train_hours", label="time", meaning="training time", unit="h:mm:ss", latex="Time [h]", ratio=True,
+    name="train_hours", label="time", meaning="training time", latex="Time [h]", ratio=True,
     in_main_table=True, of_record=lambda record: record.seconds.get("train", nan) / 3600,
 )  # fmt: skip
 GAUSSIANS = RecordMeasure(
@@ -115,17 +116,19 @@ def digits(name: str, scene: str = "") -> int:
 
 
 def as_text(name: str, value: float, scene: str = "", form: str = "") -> str:
-    """Return a number as a reader sees it: with the paper's digits; hours, which files keep as numbers, as h:mm:ss.
+    """Return a number as a reader sees it: with the paper's digits; hours, which files keep as numbers, as h:mm:ss or,
+    below a minute, in seconds.
 
     form: format of numbers that are no time, in the place of the paper's digits; with `+`, times have a sign, too.
 
     >>> as_text("ssim", 0.88991), as_text("train_hours", 0.5), as_text("train_hours", 0.01, form="+.3f")
-    ('0.890', '0:30:00', '+0:00:36')
+    ('0.890', '0:30:00', '+36.0 s')
     """
     if name != HOURS.name:
         return format(value, form or f".{digits(name, scene)}f")
     sign = "-" if value < 0 else "+" if form.startswith("+") else ""
-    return sign + duration(abs(value) * 3600)
+    seconds = abs(value) * 3600
+    return sign + (f"{seconds:.1f} s" if seconds < SHORTEST else duration(seconds))
 
 
 def half_unit(name: str, scene: str = "") -> float:

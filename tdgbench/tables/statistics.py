@@ -11,7 +11,7 @@ from scipy.special import stdtrit
 
 from tdgbench.cells.record import Record
 from tdgbench.tables.long_table import means, method_label
-from tdgbench.tables.measures import AVERAGE, KEYS, OF_RECORDS, OVERALL
+from tdgbench.tables.measures import AVERAGE, KEYS, MEASURES, OF_RECORDS, OVERALL
 from tdgbench.tables.results import Cell
 
 REPLICATES = 1000
@@ -95,11 +95,13 @@ def _place(record: Record) -> list[str]:
 
 
 def _values(cell: Cell) -> dict[str, np.ndarray]:
-    """Return every number of a cell: those of its record as one value, and scores that all views have, by view."""
+    """Return every number of a cell: those of its record as one value, and scores of each view, by view."""
     numbers = {one.name: np.array([one.of_record(cell.record)]) for one in OF_RECORDS if one.in_main_table}
     views = cell.views  # None: `read_results` reports it
     if views is not None and len(views):
-        numbers |= {str(metric): values.to_numpy() for metric, values in views.dropna(axis=1).items()}
+        pooled = {name for name, measure in MEASURES.items() if measure.of_all_views}
+        by_view = views.drop(columns=pooled, errors="ignore").dropna(axis=1)
+        numbers |= {str(metric): values.to_numpy() for metric, values in by_view.items()}
     return numbers
 
 

@@ -12,6 +12,7 @@ from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
 from tdgbench.tables.findings import claims_in_words, published
+from tdgbench.tables.grids import SPREAD, TIMES
 from tests.helpers.records import write, write_ablation, write_record
 
 PAPER = [Description(s.name, DATASETS[s.dataset], s.group) for s in SCENES]
@@ -39,11 +40,14 @@ def test_they_say_what_the_seeds_tell(tmp_path):
             write(tmp_path, method, "orbit", "synthetic", seed=seed, scores={"psnr": value, "lpips": None}, prior=prior,
                   environment={"cells_at_once": 2})  # fmt: skip
     tables = build_tables(tmp_path)
-    assert "times are of 2 cells at once, which may slow each other down" in tables.grid.notes
+    notes = {"times are of 2 cells at once, which may slow each other down", SPREAD, TIMES}
+    assert notes <= set(tables.grid.notes)
+    assert "Built-in scenes (synthetic)" in tables.latex and "Day light" not in tables.latex
+    assert "of TDg is made from true depth" in tables.latex and "seeds: 3" in tables.latex
     assert tables.findings[0] == (
         "MSMG against 3DGS on orbit: PSNR 40.47 against 35.13, +5.34 dB (+4.39 to +6.29): better; SSIM 0.800 against "
-        "0.800, +0.000 (+0.000 to +0.000): equal within 0.005; time 0:06:00 against 0:06:00, × 1.00 (1.00 to 1.00): equal; "
-        "in brackets: 95 % intervals over 3 seeds; times are of 2 cells at once, which may slow each other down"
+        "0.800, +0.000 (+0.000 to +0.000): equal within 0.005; time 0:06:00 against 0:06:00, × 1.00 (1.00 to 1.00): "
+        "equal; in brackets: 95 % intervals over 3 seeds; times are of 2 cells at once, which may slow each other down"
     )
     assert tables.findings[1].startswith(
         "TDg with a depth prior made from true depth against MSMG on orbit: PSNR 40.48 against 40.47, +0.01 dB "
@@ -71,7 +75,7 @@ def test_they_say_no_more_than_the_interval(tmp_path, psnr, said):
     found = build_tables(tmp_path).findings
     prior = "a depth prior made from the scene's sparse points (COLMAP mostly finds them in RGB images)"
     assert found[0].startswith(f"TDg with {prior} against MSMG on attic: PSNR ") and said in found[0]
-    assert found[1].startswith("All trainings stopped at their last iteration, before any plateau") and len(found) == 3
+    assert found[1].startswith("All trainings stopped at their last iteration, before a plateau") and len(found) == 3
 
 
 def test_they_count_what_the_tables_say(tmp_path):

@@ -22,5 +22,8 @@ def test_escape():
 def test_every_name_compiles(name):
     text = escape(name)
     assert COMPILES.fullmatch(text) and not text.startswith(("[", "*"))
-    note, begin, *_ = tabular("l", [], [], [name]).splitlines()
+    note, begin, *_, below, end = (text := tabular("l", [], [], [name], [name])).splitlines()
+    plain = re.sub(r"\\[{}]", "", text.partition("\n")[2])
+    assert plain.count("{") == plain.count("}") and end == r"\end{tabular}"
+    assert below == rf"\multicolumn{{1}}{{p{{\linewidth}}}}{{{{\footnotesize\raggedright {escape(name)}\par}}}} \\"
     assert note.startswith("% ") and begin == r"\begin{tabular}{l}"

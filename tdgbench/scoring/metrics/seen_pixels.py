@@ -88,7 +88,8 @@ BARELY_SEEN = ViewMetric(
 )  # fmt: skip
 PSNR_BARELY_SEEN = ViewMetric(
     name="psnr_barely_seen", label="PSNR, barely seen", meaning="PSNR over all barely-seen pixels of the test views",
-    order=124, **IN_DB, needs="Gaussians, barely-seen pixels", of_view=lambda shown: psnr_where(shown, barely=True),
+    order=124, has_better_side=False, of_all_views=True, **IN_DB,
+    needs="Gaussians, barely-seen pixels", of_view=lambda shown: psnr_where(shown, barely=True),
 )  # fmt: skip
 PSNR_WELL_SEEN = replace(
     PSNR_BARELY_SEEN, name="psnr_well_seen", label="PSNR, well seen",
@@ -98,5 +99,5 @@ PSNR_WELL_SEEN = replace(
 GUESS_CORRELATION = ViewMetric(
     name="guess_correlation", label="guesses and errors",
     meaning="rank correlation of 1 − determinacy and the error, over the pixels of all test views", order=126,
-    digits=2, higher_is_better=True, limits=(-1.0, 1.0), needs="Gaussians", of_view=_of_all_views,
+    digits=2, has_better_side=False, of_all_views=True, limits=(-1.0, 1.0), needs="Gaussians", of_view=_of_all_views,
 )  # fmt: skip
