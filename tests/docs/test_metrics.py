@@ -27,7 +27,9 @@ def test_facts(name):
     low, high = (f"{end:g}".replace("inf", "∞") for end in metric.limits)
     rows = dict(re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", text, re.MULTILINE))
     assert rows["column"] == f"`{name}`" and rows["range"] == f"{low} to {high}{metric.suffix}"
-    assert rows["better"] == metric.arrow and rows["fitted to a test view"] == (metric.fits_to_test_view or "nothing")
+    assert rows["better"] == (metric.arrow or "neither") and rows["fitted to a test view"] == (
+        metric.fits_to_test_view or "nothing"
+    )
     assert rows["in the main table"].startswith("yes") == (name in COLUMNS)
 
 
