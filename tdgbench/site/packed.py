@@ -36,6 +36,8 @@ from tdgbench.text import as_typed, shortened
 
 AVERAGES = (AVERAGE, OVERALL)
 ERROR = "mae_degC"
+TRUE_DEPTH, SPARSE_POINTS = "made from true depth", "from sparse points"
+PRIORS = {"truth": TRUE_DEPTH, "points": SPARSE_POINTS}  # in words, by what they are made from
 SCORES = tuple(one for name in COLUMNS for one in ((name, ERROR) if name == "psnr" else (name,)))  # of rows and cells
 HEADS = [MEASURES[name].title for name in SCORES]
 
@@ -149,7 +151,18 @@ class BoardRow:
 
     @property
     def prior(self) -> str:
-        return joined(str(record.setting("prior.name") or "") for record in self.records)
+        """What its depth prior is made from if not from the thermal images alone, else its name."""
+        made_from = [str((record.prior or {}).get("made_from")) for record in self.records]
+        names = [str(record.setting("prior.name") or "") for record in self.records]
+        return joined(PRIORS.get(source, name) for source, name in zip(made_from, names, strict=True))
+
+    @property
+    def psnr_interval(self) -> tuple[float, float]:
+        """The ends of the 95 % interval over seeds and views that stands below its PSNR, dB; NaN without one."""
+        main = self.pack.tables.main
+        of_row = main.set_index(["metric", *SCENE_KEYS])[["ci95_low", "ci95_high"]].astype(float)
+        low, high = of_row.loc[("psnr", self.dataset, self.scene, self.column)]
+        return low, high
 
     @property
     def machines(self) -> set[tuple[str, ...]]:

@@ -19,7 +19,8 @@ from tdgbench.text import duration, shortened
 
 TICKS = (1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200, 18000, 36000, 86400)  # s
 STEPS = (*TICKS[:4], 15, *TICKS[4:7], 120, 300, 600, 900, *TICKS[11:])  # s, between the ticks of a short axis
-MOST_TICKS, MARGIN = 6, 1.15  # MARGIN: of times
+MOST_TICKS, MARGIN, LEAST_SPAN = 6, 1.15, 1.0  # MARGIN: of times; LEAST_SPAN: dB, so that ties stand close together
+APART = 0.22  # of the axis, at least, so that labels of ticks do not overlap
 LIMITS = ((1e-3, 1e9), (-1e6, 1e6))  # s, dB; records of others may hold any number: drawn at the ends
 LONGEST = 28  # characters of a label's line
 PSNR, TIME = SCORES.index("psnr"), SCORES.index(HOURS.name)
@@ -37,26 +38,32 @@ def plots(rows: Sequence[BoardRow]) -> list[tuple[str, str]]:
     where = rows[0].scene if len(rows[0].scenes) == 1 else f"the mean of {', '.join(rows[0].scenes)}"
     return [
         (plot([(methods.label(row.column), row.pack.name if columns[row.column] > 1 else "") for row in group],
-              *(np.array([[row.scores[TIME].value * 3600, row.scores[PSNR].value] for row in group]).T)),
+              *np.array([[row.scores[TIME].value * 3600, row.scores[PSNR].value, *row.psnr_interval]
+                         for row in group]).T),
          f"{where}, on one machine ({cpu if gpu == 'None' else gpu}, threads: {threads}, cells at once: "
          f"{'not recorded' if at_once == 'None' else at_once})")
         for (cpu, gpu, threads, at_once), group in by_machine.items() if len(group) > 1
     ]  # fmt: skip
 
 
-def plot(names: Sequence[tuple[str, str]], seconds: np.ndarray, psnr: np.ndarray) -> str:
+def plot(
+    names: Sequence[tuple[str, str]], seconds: np.ndarray, psnr: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> str:
     """Return points of PSNR (dB) against time on a logarithmic axis as SVG, the best one's name on top.
 
-    names: of each point, in two lines.
+    names: of each point, in two lines. low, high: ends of the intervals of PSNR, NaN without.
     """
-    seconds, psnr = (np.clip(values, *limits) for values, limits in zip((seconds, psnr), LIMITS, strict=True))
+    seconds = np.clip(seconds, *LIMITS[0])
+    psnr, low, high = (np.clip(np.where(np.isfinite(ends), ends, psnr), *LIMITS[1]) for ends in (psnr, low, high))
     lines = 1 + any(second for _, second in names)
     figure = Figure(figsize=(3.3, max(2.7, 0.5 + 0.2 * lines * len(names))))
     axes = figure.subplots()
     axes.set_xscale("log")
-    axes.margins(y=0.1)
     axes.set_xlim(seconds.min() / MARGIN, seconds.max() * MARGIN)
-    axes.plot(seconds, psnr, "o")
+    axes.errorbar(seconds, psnr, np.abs([low - psnr, high - psnr]), fmt="o", elinewidth=1, capsize=2)
+    middle, span = (low.min() + high.max()) / 2, high.max() - low.min()
+    half = max(LEAST_SPAN, 1.2 * span) / 2
+    axes.set_ylim(middle - half, middle + half)
     shown = time_ticks(*axes.get_xlim())
     axes.xaxis.set_major_locator(FixedLocator(shown))
     axes.xaxis.set_major_formatter(FixedFormatter([duration(tick) for tick in shown]))
@@ -77,8 +84,16 @@ def time_ticks(low: float, high: float) -> list[int]:
     """Return ticks of a logarithmic axis of seconds: usual times, or on a short axis, multiples of one.
 
     >>> time_ticks(9, 70), time_ticks(10.5, 17.4)
-    ([10, 20, 30, 60], [12, 14, 16])
+    ([10, 20, 60], [12, 14, 16])
     """
+    found: list[int] = []
+    for tick in _all_ticks(low, high):
+        if not found or tick >= found[-1] * (high / low) ** APART:
+            found.append(tick)
+    return found
+
+
+def _all_ticks(low: float, high: float) -> list[int]:
     usual = [tick for tick in TICKS if low <= tick <= high]
     usual = usual[:: -(-len(usual) // MOST_TICKS) or 1]
     if len(usual) > 2:

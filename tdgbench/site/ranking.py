@@ -86,10 +86,22 @@ def _differences(rows: Sequence[BoardRow]) -> str:
     """Return in what rows that are not alike differ, with the values that tell a reader something."""
     if rows[0].is_average:
         return "their trainings or images of a scene"
-    setups = (json.loads(text) for row in rows for text in sorted(row.setups))
+    setups = [json.loads(text) for row in rows for text in sorted(row.setups)]
+    if any("skip.otherwise" in one for one in setups):
+        setups = [_with_skips_in_words(one) for one in setups]
     found = differences([{name: as_typed(value) for name, value in one.items()} for one in setups], as_typed(None))
     texts = {name: f"{name}: {' or '.join(dict.fromkeys(values))}" for name, values in found.items()}
     return "; ".join(name if name in WITHOUT_WORDS else text for name, text in texts.items())
+
+
+def _with_skips_in_words(setup: dict[str, object]) -> dict[str, object]:
+    """Return a setup with its skips in one value: it may state those alone that are not `otherwise`."""
+    options = {name.removeprefix("skip."): value for name, value in setup.items() if name.startswith("skip.")}
+    otherwise = options.pop("otherwise", True) is not False
+    changed = [name for name, value in options.items() if value is not None and value != otherwise]
+    words = "default" if otherwise else "none (all off)"
+    rest = {name: value for name, value in setup.items() if not name.startswith("skip.")}
+    return {**rest, "skip": " but ".join([words, *([", ".join(changed)] if changed else [])])}
 
 
 def _bold(metric: str, rows: Sequence[BoardRow]) -> list[bool]:

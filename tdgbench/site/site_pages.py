@@ -26,6 +26,8 @@ from tdgbench.site.packed import (
     ERROR,
     HEADS,
     SCORES,
+    SPARSE_POINTS,
+    TRUE_DEPTH,
     BoardRow,
     Pack,
     joined,
@@ -42,10 +44,10 @@ from tdgbench.site.ranking import is_unlike, ranked
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows, doubts_of
 from tdgbench.tables.claims import judge_claims, load_claims
-from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
+from tdgbench.tables.claims.evidence import BUILT_IN, JudgedClaim, evidence_of
 from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
-from tdgbench.tables.grids import reasons_for_na
+from tdgbench.tables.grids import SCENE_KEYS, reasons_for_na
 from tdgbench.tables.likeness import setups
 from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import MEASURES, as_text
@@ -123,7 +125,8 @@ class _Site:
         for dataset, scene in sorted({(row.dataset, scene) for row in self.rows for scene in row.scenes}):
             scenes.setdefault(dataset, []).append(scene)
         files = {"index.html": self._page("index.html.j2", "", boards=boards_of(self.rows), packs=self.packs,
-                                          legend=self._legend(), data=scenes, margins=margins_in_words(),
+                                          legend=self._legend(), data={in_words(n): s for n, s in scenes.items()},
+                                          margins=margins_in_words(),
                                           equal=equal_data(self.packs).values())}  # fmt: skip
         for name in ("site.css", "site.js"):
             files[name] = self.environment.get_template(f"{name}.j2").render().encode()
@@ -174,6 +177,13 @@ class _Site:
         return text.encode()
 
 
+def in_words(dataset: str) -> str:
+    """Return a data set's name, with what it is where the name does not say it."""
+    if dataset.startswith(BUILT_IN):
+        return f"{dataset} (built into tdgbench)"
+    return f"{dataset} (scenes of one's own, read from a folder)" if dataset == "folder" else dataset
+
+
 def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
     """Return the leaderboards of rows, one for each data set, protocol and budget: settings, rows, plots of a scene."""
     groups: dict[tuple[str, str, str], list[BoardRow]] = {}
@@ -196,13 +206,36 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
             "plots": plots([row for row in group if row.scenes == widest] if averages else group),
             "own": sorted({key for row in group for key in row.own}),
             "unlike": _scenes_by_reason(group), "means_unlike": any(row.is_average and is_unlike(row) for row in group),
-            "palette": palette_in_words(group),
+            "palette": palette_in_words(group), "caveats": _caveats(group), "reasons": _reasons(group),
         })  # fmt: skip
     for board in boards:
         others = [one["settings"] for one in boards if one["dataset"] == board["dataset"]]
         board["apart"] = [f"{name}: {value}" for name, value in board["settings"].items()
                           if any(other.get(name) != value for other in others)]  # fmt: skip
     return boards
+
+
+def _caveats(rows: Sequence[BoardRow]) -> list[str]:
+    """Return what the scores of a leaderboard are no evidence of, and what depth priors are given."""
+    of_truth, of_points = (
+        ", ".join(dict.fromkeys(methods.label(row.method) for row in rows if source in row.prior))
+        for source in (TRUE_DEPTH, SPARSE_POINTS)
+    )
+    given = f", and the depth prior of {of_truth} is made from their true depth" if of_truth else ""
+    found = [f"Built-in scenes{given}: no evidence on the paper."] if rows[0].dataset.startswith(BUILT_IN) else []
+    where = f"The depth prior of {of_points} is made from sparse points, which COLMAP mostly finds in RGB images."
+    return [*found, *([where] if of_points else [])]
+
+
+def _reasons(rows: Sequence[BoardRow]) -> list[str]:
+    """Return why scores of a leaderboard are n/a."""
+    found: dict[str, None] = {}
+    for pack in dict.fromkeys(row.pack.page for row in rows):
+        of_pack = [row for row in rows if row.pack.page == pack]
+        main = of_pack[0].pack.tables.main.set_index(SCENE_KEYS, drop=False)
+        places = [(row.dataset, row.scene, row.column) for row in of_pack]
+        found |= dict.fromkeys(reasons_for_na(main[main.index.isin(places)].reset_index(drop=True), SCORES))
+    return list(found)
 
 
 def _scenes_by_reason(rows: Iterable[BoardRow]) -> dict[str, list[str]]:
