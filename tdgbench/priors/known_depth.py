@@ -17,6 +17,8 @@ _OCCLUSION = 0.1  # as there
 MOST_POINTS = 20_000  # that priors are compared with
 FEWEST_POINTS = 20  # in a view that is compared
 LEAST_RANK = 0.2  # of maps that are not doubted: Spearman's correlation with depth, median of the views
+MOST_COMPARED = 16  # views whose priors are compared with one another
+RESIDUAL = 0.7  # of 1 − rank correlation: a prior that leaves less fits a view better than its own
 LARGEST_RATIO = 3.0  # of a metric map's depth and that of points, median of the views
 
 
@@ -53,24 +55,48 @@ def _of_points(view: View, points: np.ndarray) -> KnownDepth:
 
 def doubts_of(priors: Mapping[str, DepthPrior], scene: Scene) -> Iterator[str]:
     """Yield why the priors of a scene's training views may be wrong, by its sparse points; nothing where it has few."""
-    ranks, ratios = list[float](), list[float]()
-    points = np.zeros((0, 3)) if scene.points is None else scene.points.points
-    for view in scene.train:
-        known = _of_points(view, points[:: len(points) // MOST_POINTS + 1])
-        values = priors[view.name].values[known.rows, known.columns]
-        z, values = known.z[np.isfinite(values)], values[np.isfinite(values)]
-        if len(z) >= FEWEST_POINTS and np.ptp(values) > 0 and np.ptp(z) > 0:
-            ranks.append(float(spearmanr(values, z).statistic))
-            ratios.append(float(np.median(values / z)))
+    if scene.points is None:
+        return
+    points, kind = scene.points.points, priors[scene.train[0].name].kind
+    sign = -1 if kind == "disparity" else 1
+    known = {view.name: _of_points(view, points[:: len(points) // MOST_POINTS + 1]) for view in scene.train}
+    ranks = {name: sign * _rank(priors[name].values, known[name]) for name in known}
+    ranks = {name: rank for name, rank in ranks.items() if np.isfinite(rank)}
     if not ranks:
         return
-    kind = priors[scene.train[0].name].kind
-    rank, ratio = float(np.median(ranks)) * (-1 if kind == "disparity" else 1), float(np.median(ratios))
-    where = f"of the sparse points (median of {len(ranks)} views)"
+    rank, where = float(np.median([*ranks.values()])), f"of the sparse points (median of {len(ranks)} views)"
     if rank < LEAST_RANK:
         yield (
             f"the depth prior, of kind {kind}, has a rank correlation of {rank:.2f} with the depth {where}: are its "
             "kind, its files' names and its orientation right?"
         )
-    elif kind == "metric" and not 1 / LARGEST_RATIO <= ratio <= LARGEST_RATIO:
-        yield f"the depth prior, of kind metric, is {ratio:.3g} × the depth {where}: is it in the scene's units?"
+        return
+    some = [*ranks][:: len(ranks) // MOST_COMPARED + 1]
+    best = {a: max(sign * _rank(priors[b].values, known[a]) for b in some if b != a) for a in some} if some[1:] else {}
+    swapped = [name for name, other in best.items() if 1 - other < RESIDUAL * (1 - ranks[name])]
+    if len(swapped) > len(some) / 2:
+        yield (
+            f"the depth priors of {len(swapped)} of {len(some)} compared views fit the sparse points worse than the "
+            "prior of another view: are their files' names right?"
+        )
+    if kind == "metric":
+        ratio = float(
+            np.median([np.nanmedian(_at(priors[name].values, known[name]) / known[name].z) for name in ranks])
+        )
+        if not 1 / LARGEST_RATIO <= ratio <= LARGEST_RATIO:
+            yield f"the depth prior, of kind metric, is {ratio:.3g} × the depth {where}: is it in the scene's units?"
+
+
+def _at(values: np.ndarray, known: KnownDepth) -> np.ndarray:
+    """Return a map's values where depth is known, NaN where the map is unknown or does not reach."""
+    height, width = values.shape
+    inside = (known.rows < height) & (known.columns < width)
+    found = np.where(inside, values[np.minimum(known.rows, height - 1), np.minimum(known.columns, width - 1)], np.nan)
+    return np.where(np.isfinite(found), found, np.nan)
+
+
+def _rank(values: np.ndarray, known: KnownDepth) -> float:
+    """Return Spearman's correlation of a map with known depth; NaN of too few points or of one value."""
+    found = _at(values, known)
+    found, z = found[np.isfinite(found)], known.z[np.isfinite(found)]
+    return float(spearmanr(found, z).statistic) if len(z) >= FEWEST_POINTS and np.ptp(found) and np.ptp(z) else np.nan
