@@ -63,6 +63,6 @@ def usual_spread(main: pd.DataFrame) -> str:
     known = [spreads.psnr[p] for p in scenes.agg("/".join, axis=1) if p in spreads.psnr]
     where, largest = (where, max(known)) if known else ("other scenes", spreads.largest["psnr"])
     return (
-        f"the largest standard deviation over seeds that was measured on {where} from COLMAP points, of some method and "
-        f"budget, is {largest:g} dB PSNR ({spreads.source})"
+        f"the largest standard deviation over seeds that was measured on {where} from COLMAP points, of some method "
+        f"and budget, is {largest:g} dB PSNR ({spreads.source})"
     )
