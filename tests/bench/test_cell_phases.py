@@ -38,7 +38,7 @@ def auto_is(monkeypatch):
 
 
 def test_a_killed_cell_resumes(run, tmp_path, monkeypatch):
-    longer = ("method=tdg", "budget.iterations=40")
+    longer = ("method=tdg", "budget.iterations=40", "prior.estimator.noise=50")
     assert run(tmp_path / "calm", *longer).status == "ok"
     with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
         killed_at(23, patch)
@@ -49,6 +49,7 @@ def test_a_killed_cell_resumes(run, tmp_path, monkeypatch):
     (calm,), (killed,) = (read_all(tmp_path / name / "single") for name in ("calm", "killed"))
     assert (calm.resumed, killed.resumed) == ([], [23])
     assert (calm.key, calm.scores) == (killed.key, killed.scores)
+    assert calm.doubts == killed.doubts and "a rank correlation of" in calm.doubts[0]
     assert hashes_of_content(calm.hashes) == hashes_of_content(killed.hashes)
     assert not list((tmp_path / "killed" / "single" / "checkpoints").iterdir())
 
