@@ -5,11 +5,11 @@ A bare fenced block is the output (both streams) of the ```sh block before it, o
 before a block: it is not run, and an output keeps its text. The ```sh blocks of all pages run in order in one new
 folder. A line that begins with "Made on" names version and machine.
 
---check compares instead of writing, and exits with 1 if a block differs. Times (h:mm:ss), their ratios and the widths
-of tables may differ. On the machine that the page names, nothing else may. Another processor rounds otherwise, which
-changes a training as another seed does: there numbers with two decimals (dB) may differ by 0.3 and those with three
-(SSIM) by 0.005; numbers with more, and conclusions (`found:`), are not compared. --untrained: only the blocks before
-the first training.
+--check compares instead of writing, and exits with 1 if a block differs. Times (h:mm:ss or s), their ratios and the
+widths of tables may differ. On the machine that the page names, nothing else may. Another processor rounds otherwise,
+which changes a training as another seed does: there numbers with two decimals (dB) may differ by 0.3 and those with
+three (SSIM) by 0.005; numbers with more, and conclusions (`found:`), are not compared. --untrained: only the blocks
+before the first training.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ BLOCK = re.compile(
     r"(?P<notes>(?:^<!-- [^\n]* -->\n)*)^```(?P<language>\w*)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
 )
 MADE = re.compile(r"(?m)^Made on .*$")
+TIME = r"(?:\d+:\d\d:\d\d|\d+\.\d s)"  # seconds below a minute
 NUMBER = re.compile(r"-?\d+\.\d+")
 
 
@@ -108,8 +109,8 @@ def differences(page: str, made: str) -> list[str]:
 
 def _lines(page: str) -> list[str]:
     """Lines without what differs everywhere: the date, times and their ratios, and the widths of tables."""
-    page = re.sub(r"time \d+:\d\d:\d\d against [^;\n]*", "time", MADE.sub("", page))
-    return re.sub(r"\d+:\d\d:\d\d", "h:mm:ss", re.sub(r"[ ─━]+", " ", page)).splitlines()
+    page = re.sub(rf"time {TIME} against [^;\n]*", "time", MADE.sub("", page))
+    return re.sub(rf"\b{TIME}", "h:mm:ss", re.sub(r"[ ─━]+", " ", page)).splitlines()
 
 
 def agree(old: str, new: str) -> bool:

@@ -154,11 +154,11 @@ def test_missing_scenes_are_rows_and_averages_say_so(tmp_path):
     rows = tables.main[(tables.main["method"] == "tdg") & (tables.main["metric"] == "psnr")].set_index("scene")
     assert len(rows) == 14 + 2 + 1
     assert rows.loc["Truck", "value"] == 20
-    assert np.isnan(rows.loc["Ebike", "value"]) and "not run" in rows.loc["Ebike", "reason"]
+    assert np.isnan(rows.loc["Ebike", "value"]) and "no cell here: not run" in rows.loc["Ebike", "reason"]
     assert rows["value"].drop("Truck").isna().all()
     text = (tmp_path / "tables" / "difference.csv").read_text()
     assert "tdg,RGBT-Scenes,day,Truck,psnr,20,26.28,-6.28," in text
-    assert 'msmg,RGBT-Scenes,day,Truck,psnr,n/a,25.9,n/a,"not run' in text
+    assert 'msmg,RGBT-Scenes,day,Truck,psnr,n/a,25.9,n/a,"no cell here: not run' in text
 
 
 def test_reasons_of_missing_metrics_and_failures(tmp_path):
