@@ -200,7 +200,8 @@ def _estimate_priors(
         skips.prior.decide(cached > 0, reason, f"{cached} estimates")
         kind = next(iter(priors.values())).kind
         observer.note("prior", {**estimator.identity(scene), "kind": kind, "made_from": cfg.prior.made_from})
-        observer.doubt([*doubts_of(priors, scene)])
+        if cfg.prior.made_from != "points":  # which cannot contradict themselves
+            observer.doubt([*doubts_of(priors, scene)])
     return {view.name: _where_valid(priors[view.name], view) for view in scene.train}
 
 

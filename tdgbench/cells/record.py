@@ -176,6 +176,11 @@ class Record:
         skips = skips if isinstance(skips, dict) else {}
         return self.channels == 3 and channels != 3 and skips.get("gray", skips.get("otherwise", True)) is not False
 
+    @property
+    def prior_made_from(self) -> str:
+        """What its depth prior is made from, as the prior's file says; empty without one, or where it is not stated."""
+        return str((self.prior or {}).get("made_from") or "")
+
     def setting(self, name: str) -> Any:
         """Return the value of a setting by its dotted name; None if the record has none.
 

@@ -132,8 +132,8 @@ def _prior(record: Record) -> str:
     """
     if record.prior is None:
         return "none"
-    model, source = record.prior.get("model"), record.prior.get("made_from")
-    words = PRIOR_SOURCES.get(source, source) + MORE_ON_SOURCES.get(source, "") if source else ""
+    model, source = record.prior.get("model"), record.prior_made_from
+    words = PRIOR_SOURCES.get(source, source) + MORE_ON_SOURCES.get(source, "")
     made = f", made from {words}" if words else ""
     return f"{record.prior.get('estimator', 'unknown')}{f' ({model})' if model else ''}{made}"
 

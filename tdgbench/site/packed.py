@@ -13,6 +13,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+import pandas as pd
 from omegaconf import OmegaConf
 
 from tdgbench.cells.folder import hashes_of_content
@@ -58,6 +59,13 @@ class Pack:
     def cells(self) -> list[Cell]:
         """The finished cells."""
         return self.tables.results.finished
+
+    @cached_property
+    def psnr_intervals(self) -> pd.DataFrame:
+        """The ends of the 95 % intervals of PSNR, dB, by dataset, scene and method."""
+        main = self.tables.main
+        rows = main[main["metric"] == "psnr"].set_index(SCENE_KEYS)
+        return rows[["ci95_low", "ci95_high"]].astype(float)
 
     @property
     def page(self) -> str:
@@ -152,16 +160,14 @@ class BoardRow:
     @property
     def prior(self) -> str:
         """What its depth prior is made from if not from the thermal images alone, else its name."""
-        made_from = [str((record.prior or {}).get("made_from")) for record in self.records]
-        names = [str(record.setting("prior.name") or "") for record in self.records]
-        return joined(PRIORS.get(source, name) for source, name in zip(made_from, names, strict=True))
+        return joined(
+            PRIORS.get(record.prior_made_from, str(record.setting("prior.name") or "")) for record in self.records
+        )
 
     @property
     def psnr_interval(self) -> tuple[float, float]:
         """The ends of the 95 % interval over seeds and views that stands below its PSNR, dB; NaN without one."""
-        main = self.pack.tables.main
-        of_row = main.set_index(["metric", *SCENE_KEYS])[["ci95_low", "ci95_high"]].astype(float)
-        low, high = of_row.loc[("psnr", self.dataset, self.scene, self.column)]
+        low, high = self.pack.psnr_intervals.loc[(self.dataset, self.scene, self.column)]
         return low, high
 
     @property

@@ -189,7 +189,7 @@ def given_priors(records: Iterable[Record]) -> list[str]:
 
 
 def prior_source(record: Record) -> str:
-    return PRIOR_SOURCES.get((record.prior or {}).get("made_from", ""), "")
+    return PRIOR_SOURCES.get(record.prior_made_from, "")
 
 
 def _counts(paired: pd.DataFrame) -> str:

@@ -217,7 +217,7 @@ def on_built_in(finding: Finding, cells: Iterable[Cell]) -> Finding:
     cells = list(cells)
     if not cells or not _is_built_in(cells):
         return finding
-    known = {methods.label(c.record.method) for c in cells if (c.record.prior or {}).get("made_from") == "truth"}
+    known = {methods.label(c.record.method) for c in cells if c.record.prior_made_from == "truth"}
     prior = f" and the depth prior of {named(sorted(known))} is made from true depth" if known else ""
     verdict = f"is {UNDECIDED}" if finding.verdict == UNDECIDED else finding.verdict
     where = f"the scenes are built in{prior}: no evidence on a paper; there it {verdict}"
@@ -229,7 +229,7 @@ def _is_built_in(cells: Iterable[Cell]) -> bool:
 
 
 def _is_plain(record: Record) -> bool:
-    if record.prior is not None and record.prior.get("made_from") == "points":
+    if record.prior_made_from == "points":
         return False
     return not any(override.startswith(("method.", "prior", "init.")) for override in record.variant.split(","))
 
