@@ -17,7 +17,7 @@ from tdgbench.text import named
 Fact = Callable[[Record], str]
 MORE_ON_SOURCES = {  # of depth priors
     "points": "; no evidence for thermal images alone",
-    "truth": ", with made-up errors like those of a monocular network",
+    "truth": ", with made-up errors, smaller than those of a monocular network",
 }
 NOT_STATED = "not stated by the version that ran it"
 

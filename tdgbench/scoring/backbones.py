@@ -18,10 +18,7 @@ from tdgbench.scoring.scored_view import NotApplicableError
 
 Net = Literal["vgg", "alex", "squeeze"]
 DOWNLOAD_TIMEOUT_SECONDS = 20
-NAME_IT = (
-    "--weights FILE (of verify), --weights NET=FILE (of tables sensitivity), metrics.lpips.weights=FILE (of trainings "
-    "and score)"
-)
+NAME_IT = "metrics.lpips.weights=FILE (verify and tables sensitivity: --weights)"
 _failed_downloads: dict[str, str] = {}
 
 

@@ -11,16 +11,15 @@ import numpy as np
 from tdgbench.cells.key import differences
 from tdgbench.site.packed import SCORES, BoardRow
 from tdgbench.tables import methods
-from tdgbench.tables.comparisons import EQUAL, best_or_tied, change_over_seeds
+from tdgbench.tables.comparisons import EQUAL, FEWEST_SEEDS, best_or_tied, change_over_seeds
 from tdgbench.tables.measures import HOURS
 from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE
 from tdgbench.text import as_typed
 
 METRIC = "psnr"  # that ranks are of
-FEWEST_SEEDS = 2
 UNLIKE = "the rows of all packs differ in "
 WITHOUT_WORDS = ("scene's files", "ground truth", "views", "masked")  # whose values tell a reader nothing
-FEW_SEEDS = "one seed, or no rival with two"
+FEW_SEEDS = f"fewer than {FEWEST_SEEDS} seeds, or no rival with as many"
 
 
 def ranked(rows: Iterable[BoardRow]) -> list[BoardRow]:

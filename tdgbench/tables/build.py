@@ -98,9 +98,10 @@ class Tables:
 
     @property
     def latex(self) -> str:
+        records = [one.record for one in self.results.finished]
         if self.is_ablation:
-            return ablation_table(self.main, self.grid)
-        return main_table(self.main, self.grid, self.columns, [one.record for one in self.results.finished])
+            return ablation_table(self.main, self.grid, records)
+        return main_table(self.main, self.grid, self.columns, records)
 
 
 def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:

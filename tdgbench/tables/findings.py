@@ -18,7 +18,7 @@ from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.comparisons import COUNTED, EQUAL, MethodComparison, margin_of
 from tdgbench.tables.equal_data import Place, equal_data_notes
 from tdgbench.tables.likeness import TRAINING_KIND, times_at_once
-from tdgbench.tables.long_table import NO_RECORD, method_label
+from tdgbench.tables.long_table import NO_RECORD, method_label, planned_iterations
 from tdgbench.tables.measures import (
     ABLATION,
     AVERAGE,
@@ -46,7 +46,6 @@ from tdgbench.tables.verdicts import (
 from tdgbench.text import named, one_line
 
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
-STILL_FALLING = "the loss went on falling"  # reason of the skip `plateau`: no plateau ended the training
 PRIOR_SOURCES = {  # of depth priors with more than the thermal images, by `made_from`
     "truth": "true depth", "points": "the scene's sparse points (COLMAP mostly finds them in RGB images)",
 }  # fmt: skip
@@ -84,7 +83,7 @@ def findings_of_ablation(
 
 def _caveats(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     """Yield what the findings of a main table are no evidence of."""
-    if records and all(any(skip["reason"] == STILL_FALLING for skip in record.skips) for record in records):
+    if records and all(map(_ended_by_its_budget, records)):
         yield "All trainings stopped at their last iteration, before a plateau of the loss; longer ones may differ"
     scenes = main[~_is_average(main)]
     once = f"one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
@@ -95,6 +94,12 @@ def _caveats(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
         what = "" if data_sets & set(DATASETS.values()) else "tdgbench has no published scores of these scenes"
     if what:
         yield f"{what}, and {once}" if once else what
+
+
+def _ended_by_its_budget(record: Record) -> bool:
+    """Return whether a training could have ended at a plateau, and ran all of its iterations."""
+    could_end = any(skip["name"] == "plateau" and skip["allowed"] for skip in record.skips)
+    return could_end and record.iterations == planned_iterations(record)
 
 
 def published(differences: pd.DataFrame) -> str:

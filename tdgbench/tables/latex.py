@@ -143,10 +143,10 @@ def main_table(main: pd.DataFrame, grid: Grid, columns: Sequence[str] = (), reco
     return tabular("l" + "c" * (width - 1), _heads(labels, measures, unit), lines, comments, below)
 
 
-def ablation_table(main: pd.DataFrame, grid: Grid) -> str:
+def ablation_table(main: pd.DataFrame, grid: Grid, records: Sequence[Record] = ()) -> str:
     """Return a `tabular` as the paper's Table 2: methods × inits down, PSNR / SSIM of views and models across.
 
-    Several kinds of random points are named. grid: `ablation_grid` of the ablation.
+    Several kinds of random points are named. grid: `ablation_grid` of the ablation. records: of the finished cells.
     """
     several = sum(init.startswith("random") for init in {row.place[1] for row in grid.rows}) > 1
     parts = " & ".join(MEASURES[psnr].images or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)
@@ -163,7 +163,7 @@ def ablation_table(main: pd.DataFrame, grid: Grid) -> str:
             lines.append(f"{escape(methods.label(method))}{mark} & {marks} & {pairs} \\\\")
     heads = [rf" & Random & COLMAP & {parts} \\"]
     comments = initial_points(main)
-    below = [note for note in grid.notes if note not in comments]
+    below = [note for note in (*grid.notes, *setup_notes(records)) if note not in comments]
     return tabular("lcc" + "c" * len(ABLATION_PAIRS), heads, lines, comments, below)
 
 
@@ -229,9 +229,8 @@ def _row_title(scene: str) -> str:
 
 
 def _pair(cells: Mapping[str, GridCell], names: Sequence[str]) -> str:
-    """Return PSNR / SSIM of a model and its views; bold if either is best."""
-    text = " / ".join(_number(cells[name]._replace(bold=False), name, OVERALL) for name in names)
-    return rf"\textbf{{{text}}}" if any(cells[name].bold for name in names) else text
+    """Return PSNR / SSIM of a model and its views."""
+    return " / ".join(_number(cells[name], name, OVERALL) for name in names)
 
 
 def _number(cell: GridCell, metric: str, scene: str, unit: TimeUnit = UNITS[0]) -> str:

@@ -34,7 +34,7 @@ class PlateauRule(Rule):
         if not is_asked:
             reason = "the rule for settling decided"
         elif training.remaining == 0:
-            reason = "the loss went on falling"
+            reason = "the loss went on falling, or there were too few iterations to tell"
         else:
             reason = f"the loss no longer fell by {self.gain:.2%} a window"
         skip.decide(is_asked and training.remaining > 0, reason, training.left_out)

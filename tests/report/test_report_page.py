@@ -86,7 +86,7 @@ def test_everything_is_in_the_file(page):
         "training views",
         "2 of 3 channels",
         "backend cuda cannot run",
-        "synthetic, made from true depth, with made-up errors like those of a monocular network (TDg)",
+        "synthetic, made from true depth, with made-up errors, smaller than those of a monocular network (TDg)",
     ):
         assert part in text, part
     assert "n/a: MSMG on" not in text  # all of it can be read
