@@ -19,6 +19,8 @@ HASHED = (  # folders and files
     "tdgbench/thermal",
     "tdgbench/bench/init",
     "tdgbench/bench/setup.py",
+    "tdgbench/bench/scores.py",
+    "tdgbench/ply.py",
     "methods",
 )
 

@@ -11,12 +11,12 @@ import torch
 from PIL import Image
 
 from tdgbench.cells.paths import DETERMINACY, MASKS, files_of
-from tdgbench.cells.renders import depth_of, determinacy_of
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.modalities import OTHERS, THERMAL, image_of
 from tdgbench.scoring import RenderedImages, Scorer, Scores, mean_scores, to_8bit
 from tdgbench.scoring.scored_view import NotApplicableError
 from tdgbench.splats.cpu import pool
+from tdgbench.splats.determinacy import Determinacy
 from tdgbench.thermal import IDEAL, ImageResponse
 from tdgbench.training.images import MODALITIES
 from tdgbench.training.trainer import Trainer
@@ -67,7 +67,8 @@ def render_views(trainer: Trainer, views: list[View], response: ImageResponse = 
     renders = {view.name: render_images(trainer, view, response) for view in views}
     if THERMAL not in trainer.gaussians:
         return renders
-    known = determinacy_of(trainer.gaussians[THERMAL].gaussians, (view.camera for view in trainer.context.scene.train))
+    cameras = (view.camera for view in trainer.context.scene.train)
+    known = Determinacy.of_model(trainer.gaussians[THERMAL].gaussians, cameras)
     return {view.name: replace(renders[view.name], determinacy=known.image(view.camera).numpy()) for view in views}
 
 
@@ -90,7 +91,7 @@ def render_images(
         if image.shape != expected:
             raise TypeError(f"{method.name}.render gives {image.shape} for {name} of view {view.name}, not {expected}")
     image = images.pop(THERMAL)
-    return RenderedImages(response.shown(image, view.name), depth_of(render), images, response.temperatures(image))
+    return RenderedImages(response.shown(image, view.name), render.expected_depth, images, response.temperatures(image))
 
 
 def write_renders(renders: dict[str, RenderedImages], views: list[View], folder: Path) -> None:

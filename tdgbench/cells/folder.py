@@ -18,20 +18,13 @@ from tdgbench.cells.cell_tables import read_log, read_views
 from tdgbench.cells.paths import DETERMINACY, LOG_FILE, MASKS, PARTS_FILE, RECORD_FILE, files_of
 from tdgbench.cells.read_files import MAX_PICTURE, read_named
 from tdgbench.cells.record import Record, read_each
-from tdgbench.cells.renders import (
-    StoredMethod,
-    background_of,
-    blending_of,
-    depth_of,
-    determinacy_of,
-    render_model,
-    response_of,
-)
+from tdgbench.cells.renders import StoredMethod, background_of, blending_of, render_model, response_of
 from tdgbench.files import content_of, sha256_of
 from tdgbench.scenes import Camera, Scene, View
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scoring import RenderedImages, Scores
+from tdgbench.splats.determinacy import Determinacy
 from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.ply import count_rows, load_ply
 from tdgbench.splats.view import Render
@@ -263,13 +256,13 @@ class CellFolder:
         """
         gaussians, response = self.model(THERMAL), response_of(self.record)
         render_from = self.renderer(THERMAL, gaussians)
-        known = determinacy_of(gaussians, self.cameras["train"].values())
+        known = Determinacy.of_model(gaussians, self.cameras["train"].values())
         found = {}
         for name, camera in self.test_cameras.items():
             render = render_from(name)
             image = render.image.numpy()
             found[name] = RenderedImages(
-                response.shown(image, name), depth_of(render), without_response=response.temperatures(image),
+                response.shown(image, name), render.expected_depth, without_response=response.temperatures(image),
                 determinacy=known.image(camera).numpy(),
             )  # fmt: skip
         return found

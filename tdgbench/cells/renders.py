@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,6 @@ from tdgbench.files import whole_file
 from tdgbench.scenes import Camera, PointCloud, Scene, View
 from tdgbench.splats import Gaussians
 from tdgbench.splats.backends import backend_names, load_backend
-from tdgbench.splats.determinacy import Determinacy
 from tdgbench.splats.ply import load_ply
 from tdgbench.splats.render import render_view
 from tdgbench.splats.view import AS_3DGS, Blending, Pinhole, Render
@@ -33,19 +31,6 @@ from tdgbench.training.budget import RULES, Budget
 from tdgbench.training.method import Context, Frame
 from tdgbench.training.splat_model import SplatModel
 from tdgbench.training.trainer import Trainer
-
-
-def determinacy_of(gaussians: Gaussians, cameras: Iterable[Camera]) -> Determinacy:
-    """Return the determinacy of renders of a model. cameras: of the training views.
-
-    The Gaussians are taken as their PLY file has them: without filters, deformations and the thermal camera's rig.
-    """
-    return Determinacy(gaussians.activated(0), cameras)
-
-
-def depth_of(render: Render) -> np.ndarray | None:
-    """Return the expected z (H, W) of a render on the CPU; None if it has none."""
-    return None if render.depth is None else (render.depth / render.alpha.clamp_min(1e-6)).numpy()
 
 
 @torch.no_grad()

@@ -17,6 +17,7 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
+from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.render import footprint_sums, render_view
 from tdgbench.splats.view import CameraLike, GaussianTensors, Pinhole
 
@@ -48,6 +49,11 @@ class Determinacy:
         for some in information.split(AT_ONCE):
             some.copy_(torch.linalg.inv(some.double()[:, PLACES])[:, ROWS, COLUMNS])
         self.covariance = information  # (N, 10)
+
+    @classmethod
+    def of_model(cls, gaussians: Gaussians, cameras: Iterable[CameraLike]) -> Determinacy:
+        """Return that of a model as its PLY file has it: without filters, deformations and the thermal camera's rig."""
+        return cls(gaussians.activated(0), cameras)
 
     @torch.no_grad()
     def of_gaussians(self, camera: Pinhole) -> Tensor:

@@ -143,6 +143,11 @@ class Render:
             raise ValueError("the view was rendered without depth; request it with depth=True")
         return self.depth
 
+    @property
+    def expected_depth(self) -> np.ndarray | None:
+        """Expected z (H, W) of a render on the CPU; None if depth was not requested."""
+        return None if self.depth is None else (self.depth / self.alpha.clamp_min(1e-6)).numpy()
+
     def cpu(self) -> Render:
         """Return the image, depth and transmittance on the CPU."""
         depth = None if self.depth is None else self.depth.cpu()

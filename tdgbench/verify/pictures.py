@@ -10,7 +10,7 @@ import numpy as np
 from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.ground_truth import MAX_DIFFERENT
 from tdgbench.cells.paths import DETERMINACY, MASKS, PARTS_FILE, RECORD_FILE, files_of
-from tdgbench.cells.renders import depth_of, response_of
+from tdgbench.cells.renders import response_of
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
 from tdgbench.splats.view import Render
 from tdgbench.verify.problems import Problems
@@ -99,7 +99,7 @@ def _render_problems(
         yield f"{path} is {stored.shape}, the model gives {again.shape}"
         return
     if modality == THERMAL:
-        depths[view] = depth_of(render)
+        depths[view] = render.expected_depth
         if stored.shape[2] != record.channels:
             yield f"{RECORD_FILE}: channels is {record.channels}, {path} has {stored.shape[2]}"
             return

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from tdgbench.cells.renders import background_of, determinacy_of
+from tdgbench.cells.renders import background_of
 from tdgbench.present.colours import colored, expected_depth, shaded
 from tdgbench.scenes import Camera
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
@@ -169,7 +169,7 @@ class Renderer:
         """Return the determinacy (H, W) of a cell's pixels from a camera; the first time, of all training views."""
         if name not in self._determinacy:
             cell = self.cells[name]
-            self._determinacy[name] = determinacy_of(cell.models[THERMAL], cell.train.values())
+            self._determinacy[name] = Determinacy.of_model(cell.models[THERMAL], cell.train.values())
         determinacy: np.ndarray = self._determinacy[name].image(camera).numpy()
         return determinacy
 

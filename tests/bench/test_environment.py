@@ -1,7 +1,6 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 from tdgbench.bench.environment import HASHED, code_version, describe_environment
 from tests.helpers.paths import ROOT
@@ -14,14 +13,17 @@ def test_describes_the_machine():
     assert described["simd_lanes"] in (8, 16)
 
 
-def test_the_code_that_sets_a_training_up_is_hashed():
-    """Packages whose change must run a cell again: all of tdgbench that a set-up imports, but for its bookkeeping."""
-    program = "import sys, tdgbench.bench.setup; print(*(name for name in sys.modules if name.startswith('tdgbench.')))"
+def test_the_code_that_trains_and_scores_is_hashed():
+    """What set-up and scores import makes a cell run again when it changes, but for the choice of files and options."""
+    program = "import sys, tdgbench.bench.setup, tdgbench.bench.scores as _; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
-    packages = {name.split(".")[1] for name in run.stdout.split()}
-    bookkeeping = {"bench", "cells", "files", "resources", "text", "terminal", "signals", "children", "ply", "tensors"}
-    assert packages - bookkeeping <= {Path(name).name for name in HASHED}
-    assert "tdgbench/bench/setup.py" in HASHED
+    modules = [name for name in run.stdout.split() if name.split(".")[0] in ("tdgbench", "methods")]
+    hashed = tuple(name.removesuffix(".py").replace("/", ".") for name in HASHED)
+    bookkeeping = "backend_check commit failures options signature cells children files resources tensors terminal text"
+    others = {name.removeprefix("tdgbench.bench.").removeprefix("tdgbench.") for name in modules
+              if not name.startswith(hashed)}  # fmt: skip
+    assert {name.split(".")[0] for name in others} <= {"tdgbench", "bench", *bookkeeping.split()}
+    assert "cells.renders" not in others
     assert all((ROOT / name).exists() for name in HASHED)
 
 
