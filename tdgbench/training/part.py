@@ -43,6 +43,11 @@ class Part:
         """Return whether training may end: the part has recovered from its last large change."""
         return True
 
+    @property
+    def gaussian_count(self) -> int:
+        """The number of its Gaussians; 0 for a part without them."""
+        return 0
+
     def not_finite(self) -> str | None:
         """Return the name of the first parameter that is not finite, or None."""
         return None

@@ -26,7 +26,8 @@ class SettlingRule(Rule):
     Every `every` iterations the held-out views are rendered: a check. A window is a share of the checks at the current
     resolution. The training stalls when the last window gains less than `gain` on the window before. At the full
     resolution, a window stalls only if its gain plus one standard error is below `gain`, so that noise hides no gain.
-    At the full resolution, no check is made until `last_after`, since nothing has grown.
+    Nor does it stall while the Gaussians grow by more than `most_growth`: views agree that something is missing. At the
+    full resolution, no check is made until `last_after`, since nothing has grown.
 
     A stall below the full resolution ends that resolution. The training settles after two resolutions in a row without
     a new best, or at the full resolution once the windows of stalls in a row cover `stalled_checks`. It settles at the
@@ -44,6 +45,7 @@ class SettlingRule(Rule):
     checks: PositiveInt  # in a window below the full resolution, at least
     last_checks: PositiveInt  # in a window at the full resolution, at least
     stalled_checks: PositiveInt  # at the full resolution, covered by the windows of stalls in a row
+    most_growth: PositiveFloat  # of the number of Gaussians within `stalled_checks` checks, for a stall
     last_after: NonNegativeInt  # iterations before the first check at the full resolution
     window: Annotated[float, Field(gt=0, le=0.5)]  # share of the checks at a resolution that is in a window
     gain: PositiveFloat  # dB, the mean over held-out views
@@ -79,7 +81,7 @@ class Settling(Stopping):
     """Raises the resolution, lowers the learning rates and ends a training, by the PSNR of held-out views."""
 
     reads_loss = False
-    changing = ("_scale", "_psnrs", "_stalls", "_best_scale", "_best_psnrs", "_no_better")
+    changing = ("_scale", "_psnrs", "_counts", "_stalls", "_best_scale", "_best_psnrs", "_no_better")
 
     def __init__(
         self,
@@ -96,6 +98,7 @@ class Settling(Stopping):
             part.set_slowdown(1.0)
         self._scale = curriculum.scale
         self._psnrs: list[list[float]] = []  # of the checks at this resolution, by view
+        self._counts: list[int] = []  # of Gaussians at these checks
         self._stalls = 0  # of the last checks, in a row
         self._best_scale, self._best_psnrs = 0, list[float]()  # of the resolutions before, at its end; 0: none
         self._no_better = 0  # resolutions in a row since then
@@ -134,11 +137,13 @@ class Settling(Stopping):
         if is_full and iteration <= rule.last_after:
             return
         self._psnrs.append([self.psnr_of(view) for view in curriculum.held_out])
+        self._counts.append(sum(part.gaussian_count for part in self.parts.values()))
         curriculum.checks.append([iteration, curriculum.scale, round(float(np.mean(self._psnrs[-1])), 3)])
         last = last_window(rule, self._psnrs, rule.last_checks if is_full else rule.checks)
         if last is None:
             return
-        self._stalls = 0 if last.gain + is_full * last.standard_error >= rule.gain else self._stalls + 1
+        goes_on = last.gain + is_full * last.standard_error >= rule.gain or (is_full and self._is_growing)
+        self._stalls = 0 if goes_on else self._stalls + 1
         if not self._stalls or (is_full and last.checks + self._stalls - 1 < rule.stalled_checks):
             return
         is_last = is_full or self._no_better >= IN_A_ROW - 1
@@ -167,6 +172,12 @@ class Settling(Stopping):
         for part in self.parts.values():
             part.stop_growth(self.curriculum.settled_at)
 
+    @property
+    def _is_growing(self) -> bool:
+        """Whether there are many more Gaussians than `stalled_checks` checks before, or at the first check since."""
+        before = self._counts[-1 - min(self.rule.stalled_checks, len(self._counts) - 1)]
+        return self._counts[-1] > (1 + self.rule.most_growth) * before
+
     def _is_best(self, psnrs: np.ndarray) -> bool:
         """Return whether held-out views (V,) are better than with the best resolution so far."""
         return not self._best_scale or float(np.mean(psnrs - self._best_psnrs)) >= self.rule.gain
@@ -179,7 +190,7 @@ class Settling(Stopping):
                 self._best_scale, self._best_psnrs, self._no_better = self._scale, reached.tolist(), 0
             else:
                 self._no_better += 1
-        self._scale, self._psnrs, self._stalls = self.curriculum.scale, [], 0
+        self._scale, self._psnrs, self._counts, self._stalls = self.curriculum.scale, [], [], 0
 
 
 class AllSettled(Stopping):

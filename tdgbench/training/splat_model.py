@@ -156,6 +156,10 @@ class SplatModel(Part):
         moved = {"relocated": self.work.relocated} if self.work.relocated else {}
         return {**counts, "pruned": self.work.pruned, **moved, **behind, **degrees}
 
+    @property
+    def gaussian_count(self) -> int:
+        return len(self)
+
     def not_finite(self) -> str | None:
         if torch.isfinite(self.state.values.sum()):  # one pass in the usual case
             return None

@@ -13,17 +13,19 @@ from tests.helpers.masks import masked_scene
 from tests.helpers.training import digest_of_all, ready_to_train, train_killed
 
 RULE = SettlingRule(
-    share=0.1, fewest=1, most=8, every=10, checks=2, last_checks=2, stalled_checks=1, last_after=0, window=0.2,
-    gain=0.1, tail=0.5, slowdown=0.1,
+    share=0.1, fewest=1, most=8, every=10, checks=2, last_checks=2, stalled_checks=1, most_growth=0.1,
+    last_after=0, window=0.2, gain=0.1, tail=0.5, slowdown=0.1,
 )  # fmt: skip
 CONF = (
     "+budget.settling={_target_:tdgbench.training.budget.SettlingRule,share:0.1,fewest:1,most:2,every:5,checks:1,"
-    "last_checks:1,stalled_checks:1,last_after:0,window:0.2,gain:50,tail:0.5,slowdown:0.1}"
+    "last_checks:1,stalled_checks:1,most_growth:50,last_after:0,window:0.2,gain:50,tail:0.5,slowdown:0.1}"
 )
 
 
 class Watched(Part):
     """A part that notes its rate, and when it stops to grow."""
+
+    gaussian_count = 1000
 
     def __init__(self):
         self.rate, self.stopped = 1.0, []
@@ -116,6 +118,22 @@ def test_no_check_counts_at_the_full_resolution_before_anything_has_grown():
     settling = Scripted(lambda i, scale: 10.0, rule=rule)
     assert end_of(settling) == 130 + 65 and settling.asked[0] == 100
     assert end_of(Scripted(lambda i, scale: 10.0 / scale, steps=[(400, 2)], rule=rule)) == 130 + 65  # 1/2 until 40
+
+
+@pytest.mark.parametrize("share", [0.02, 0.08])
+def test_nothing_settles_while_many_gaussians_grow(share):
+    """Within three checks they grow by 6 or 26 %, where 10 % are no reason to go on; the growth ends at iteration 200."""
+
+    def no_better(i, scale):
+        settling.part.gaussian_count = round(1000 * (1 + share) ** (min(i, 200) / 10))
+        return 10.0 / scale
+
+    rule = replace(RULE, stalled_checks=3)
+    settling = Scripted(no_better, rule=rule)
+    assert end_of(settling) == (50 + 25 if share == 0.02 else 220 + 110)
+    settling = Scripted(no_better, steps=[(400, 2)], rule=rule)
+    assert end_of(settling, 200) == (90 + 45 if share == 0.02 else None)
+    assert settling.curriculum.iterations[2] == 40  # below the full resolution, images of more pixels may help
 
 
 def test_one_stall_of_a_short_window_ends_no_training():
