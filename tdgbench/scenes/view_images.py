@@ -18,7 +18,6 @@ from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 
 ASPECT_TOLERANCE = 0.01
-LOSSY = ("JPEG", "MPO", "WEBP")
 PALETTE = "palette (pseudo-colour), not temperature"
 UNMEASURED = 0.0  # image value of pixels that are not valid
 
@@ -102,7 +101,7 @@ def hidden_by(source: ImageSource, image: np.ndarray, valid: np.ndarray | None =
     path = source.mask.path
     mask = decode(path, as_picture=True)
     check_aspect(path, mask.values, source.posed)
-    middle = 128 if mask.header.format in LOSSY else 1
+    middle = 128 if mask.header.is_lossy else 1
     dark = (mask.values < middle).all(axis=2)
     hidden = np.asarray(~dark if source.mask.inverted else dark)
     if mask.valid is not None:

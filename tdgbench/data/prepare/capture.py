@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 from skimage.exposure import equalize_adapthist
 
-from tdgbench.data.prepare.dji import JPEG, RAW, check_unit, converted_with, read_raw
+from tdgbench.data.prepare.dji import RAW, check_unit, converted_with, read_raw
 from tdgbench.data.prepare.places import Taken, read_taken
 from tdgbench.data.prepare.report import FileReport, Report
 from tdgbench.data.prepare.resample import Size
@@ -21,6 +21,7 @@ from tdgbench.data.prepare.sources import Sources, ViewFiles
 from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.formats import Decoded, PhotoMapping, agreed_scale, celsius_of, decode, header
+from tdgbench.scenes.formats.pictures import JPEG
 from tdgbench.scenes.images import read_image, unit_image, with_channels
 from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
@@ -178,7 +179,7 @@ def read_view(files: ViewFiles, scale: CountScale, thermal_alone: bool = False) 
     rgb, mapping = (None, None) if thermal_alone else _photo(files, decoded)
     has_counts = decoded.header.meaning == "counts"
     own = agreed_scale(path, decoded.header, scale) if has_counts else scale
-    may_be_shown = thermal_alone or decoded.header.format == "PNG"
+    may_be_shown = thermal_alone or decoded.header.may_be_shown
     is_celsius = decoded.header.meaning == "°C" or (has_counts and (own.is_known or not may_be_shown))
     thermal = celsius_of(decoded, path, scale) if is_celsius else unit_image(decoded, path)
     if not is_celsius and decoded.valid is not None:

@@ -18,10 +18,10 @@ import numpy as np
 
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.formats import Decoded, Header, decode, header, metadata
-from tdgbench.scenes.formats.dji import NAME
+from tdgbench.scenes.formats.dji import CAMERA
+from tdgbench.scenes.formats.pictures import JPEG
 from tdgbench.scenes.inputs import is_there, read_bytes
 
-JPEG = (".jpg", ".jpeg")
 RAW = ".raw"  # of dji_irp: numbers, row by row, without a header
 SECONDS_OFF = 2  # s, at most, between the times in the names of one shot's files
 STAMPED = re.compile(r"(.*DJI_)(\d{14})(_\d{4})(.*)")
@@ -86,7 +86,7 @@ def computed_of(path: Path) -> Path | None:
         for suffix in (".JPG", ".jpg", ".jpeg", ".JPEG"):
             origin = path.with_name(product(path.stem)[0] + suffix)
             with suppress(SceneError):
-                if is_there(origin) and header(origin).format.startswith(NAME):
+                if is_there(origin) and header(origin).camera == CAMERA:
                     return origin
     return None
 

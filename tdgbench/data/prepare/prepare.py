@@ -16,7 +16,6 @@ from tdgbench.data.folders import Stages, new_folder
 from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare.calibration import checked_lenses, exif_focal
 from tdgbench.data.prepare.capture import Capture, Kind, read_capture, too_few, write_pictures
-from tdgbench.data.prepare.dji import JPEG
 from tdgbench.data.prepare.known_poses import known_poses, structure_of
 from tdgbench.data.prepare.places import coordinates, doubted_by_height
 from tdgbench.data.prepare.report import Report
@@ -27,6 +26,7 @@ from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.formats import PhotoMapping
+from tdgbench.scenes.formats.pictures import JPEG
 from tdgbench.scenes.inputs import is_there
 from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
 

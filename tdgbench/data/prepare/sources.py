@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from tdgbench.data.prepare.dji import CELSIUS, JPEG, RAW, computed_of, paired_by_number, product, shot_and_lens
+from tdgbench.data.prepare.dji import CELSIUS, RAW, computed_of, paired_by_number, product, shot_and_lens
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.formats import SUFFIXES, header
+from tdgbench.scenes.formats.pictures import JPEG
 from tdgbench.scenes.inputs import check_view_name, is_folder, listed
 from tdgbench.scenes.names import about_unread
 from tdgbench.text import first_few
@@ -177,4 +178,4 @@ def _is_radiometric(path: Path) -> bool:
     if path.suffix.lower() == RAW:
         return True
     found = header(path)
-    return found.meaning != "shown" and found.format != "PNG"
+    return found.meaning != "shown" and not found.may_be_shown

@@ -16,30 +16,16 @@ from PIL import Image
 from tdgbench.files import opened
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.fillers import impossible
+from tdgbench.scenes.formats.array import ARRAY
 from tdgbench.scenes.formats.decoded import NO_SCALE, Decoded, Depth, Format, Header, PhotoMapping, Source
 from tdgbench.scenes.formats.dji import DJI
 from tdgbench.scenes.formats.flir import FLIR
 from tdgbench.scenes.formats.pictures import PICTURE, pillow
 from tdgbench.scenes.formats.tiff import TIFF
 from tdgbench.scenes.formats.unread import EXPORT
-from tdgbench.scenes.inputs import array_header, array_in, decoding, read_bytes, regular_file
+from tdgbench.scenes.inputs import decoding, read_bytes, regular_file
 from tdgbench.scenes.temperature import TEMPERATURES, CountScale
 
-
-def _array_header(source: Source) -> Header:
-    shape, kind = array_header(source.file)
-    if len(shape) not in (2, 3) or shape[2:] not in ((), (1,)) or 0 in shape:
-        raise SceneError(f"{source.path} has the shape {shape}; temperatures are (H, W) or (H, W, 1), one per pixel")
-    depth, meaning = ("float", "°C") if kind.kind == "f" else ("16-bit", "counts")
-    return Header("array", shape[1], shape[0], depth, meaning)  # type: ignore[arg-type]
-
-
-def _decode_array(source: Source) -> Decoded:
-    values, header = array_in(source.file, source.path), _array_header(source)
-    return Decoded(values.reshape(header.height, header.width, 1), header.checked(source.path))
-
-
-ARRAY = Format("array", (), lambda source: source.head.startswith(b"\x93NUMPY"), _array_header, _decode_array)
 FORMATS: tuple[Format, ...] = (ARRAY, TIFF, FLIR, DJI, PICTURE)
 SUFFIXES = tuple(suffix for one in reversed(FORMATS) for suffix in one.suffixes)
 MOST_COUNTS = 65535  # of 16 bits

@@ -46,6 +46,9 @@ class Header(NamedTuple):
     scale: CountScale = NO_SCALE  # of counts, if the file states it
     assumed: tuple[str, ...] = ()
     remedy: str = ""  # how to get °C of counts without a scale
+    camera: str = ""  # whose own format it is
+    is_lossy: bool = False  # levels are rounded
+    may_be_shown: bool = False  # counts may as well be levels of a picture of 16 bits
 
     def checked(self, path: Path) -> Header:
         """Return this header. Raises SceneError as `check_pixels`."""

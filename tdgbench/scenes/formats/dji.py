@@ -15,7 +15,8 @@ from tdgbench.scenes.formats.pictures import jpeg_segments, picture_header
 MAKE = b"DJI"  # in the EXIF segment
 SEGMENTS = ("APP3", "APP4")
 ENLARGED = range(1, 5)  # times, of the picture's sides over those of the counts
-NAME = "DJI radiometric JPEG"
+CAMERA = "DJI"
+NAME = f"{CAMERA} radiometric JPEG"
 REMEDY = "which only DJI's SDK or dji-thermal-cli turn into °C: write float TIFF (docs/data.md)"
 
 
@@ -37,8 +38,8 @@ def _read(source: Source) -> tuple[Header, bytes]:
             if len(raw) == 2 * width * height and (width * times, height * times) == (picture.width, picture.height):
                 is_enlarged = f"counts of {width}×{height} px, under a picture of {picture.width}×{picture.height}"
                 assumed = (is_enlarged,) if times > 1 else ()
-                header = Header(f"{NAME} ({name})", width, height, "16-bit", "counts", assumed=assumed, remedy=REMEDY)
-                return header, raw
+                known = f"{NAME} ({name})", width, height, "16-bit", "counts"
+                return Header(*known, assumed=assumed, remedy=REMEDY, camera=CAMERA), raw
     raise SceneError(
         f"{source.path} has {len(joined['APP3'])} bytes of raw data for {picture.width}×{picture.height} pixels of two "
         "bytes: a camera that is not known here, or a damaged file; export it as float TIFF with DJI's SDK, or copy it "

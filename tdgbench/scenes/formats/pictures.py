@@ -20,6 +20,8 @@ from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats.decoded import Decoded, Depth, Format, Header, Meaning, Source, check_pixels, without_alpha
 from tdgbench.scenes.formats.unread import PILLOW, not_an_image
 
+JPEG = (".jpg", ".jpeg")
+LOSSY = ("JPEG", "MPO", "WEBP")  # Pillow's names
 PNG = b"\x89PNG\r\n\x1a\n"
 RGB_TYPE, GRAY_ALPHA, RGB_ALPHA = 2, 4, 6  # PNG's colour types
 COUNT_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")  # Pillow's, of one channel
@@ -66,7 +68,10 @@ def _header_of(image: Image.Image, source: Source) -> Header:
     is_deep = image.mode in COUNT_MODES or _deep_colour_type(source) is not None
     depth: Depth = "16-bit" if is_deep else "8-bit"
     meaning: Meaning = "counts" if is_deep else "shown"
-    return Header(str(image.format), *image.size, depth, meaning, assumed=_not_applied(image))
+    return Header(
+        str(image.format), *image.size, depth, meaning, assumed=_not_applied(image), is_lossy=image.format in LOSSY,
+        may_be_shown=is_deep,
+    )  # fmt: skip
 
 
 def decode_picture(source: Source) -> Decoded:
@@ -116,7 +121,7 @@ def _deep_colour_type(source: Source) -> int | None:
 def _not_applied(image: Image.Image) -> tuple[str, ...]:
     """Return what a picture states in vain."""
     said, content = [], image.info.get("icc_profile")
-    turned = image.getexif().get(ExifTags.Base.Orientation, 1) if image.format in ("JPEG", "MPO", "WEBP") else 1
+    turned = image.getexif().get(ExifTags.Base.Orientation, 1) if image.format in LOSSY else 1
     if turned != 1:
         said.append(f"pixels as stored: EXIF orientation {str(turned)[:9]} is not applied")
     if content:
@@ -129,6 +134,4 @@ def _not_applied(image: Image.Image) -> tuple[str, ...]:
     return tuple(said)
 
 
-PICTURE = Format(
-    "picture", (".png", ".jpg", ".jpeg", ".bmp", ".webp"), lambda source: True, picture_header, decode_picture
-)
+PICTURE = Format("picture", (".png", *JPEG, ".bmp", ".webp"), lambda source: True, picture_header, decode_picture)

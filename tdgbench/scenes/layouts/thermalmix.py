@@ -29,6 +29,7 @@ from scipy import ndimage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.fillers import grown
 from tdgbench.scenes.formats import decode
+from tdgbench.scenes.formats.pictures import JPEG
 from tdgbench.scenes.images import unit_image
 from tdgbench.scenes.inputs import is_folder, listed
 from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, by_view, find_images, find_scene
@@ -43,7 +44,6 @@ MODELS = ("colmap_sparse/0", "sparse/0", "colmap/sparse/0")
 WARPED = "warped_thermal"
 UNWARPED = "thermal"
 PICTURES = (".jpg", ".jpeg", ".png")
-JPEG = (".jpg", ".jpeg")
 BLOCK = 8  # px, side of a JPEG's blocks
 NOISE = 4 / 255  # image value; minima below it cannot be told from black
 MOST_COLOR = 8 / 255  # image value; by which channels of a gray image may differ
