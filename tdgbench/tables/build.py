@@ -26,7 +26,7 @@ from tdgbench.tables.equal_data import equal_scenes
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.grids import ABLATION_KEYS, ablation_grid, main_grid
 from tdgbench.tables.latex import ablation_table, main_table
-from tdgbench.tables.likeness import Trainings, times_at_once
+from tdgbench.tables.likeness import Trainings, selected_notes, times_at_once
 from tdgbench.tables.long_table import cell_rows, method_label, scene_rows, with_averages, with_protocols
 from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, EXTRA, KEYS, OVERALL
 from tdgbench.tables.palette import IMAGES, with_image_values
@@ -143,7 +143,8 @@ def _main(results: Results, options: TableOptions) -> Tables:
     return Tables(
         results=replace(results, problems=[*results.problems, *problems]), main=main, difference=difference,
         findings=findings_of_methods(main, difference, comparisons, changes, equal, finished), comparisons=comparisons,
-        readings=by_length, effects=changes, notes=[*notes, *times_at_once(finished)], columns=options.columns,
+        readings=by_length, effects=changes, columns=options.columns,
+        notes=[*notes, *selected_notes(finished, COLUMN_OF), *times_at_once(finished)],
     )  # fmt: skip
 
 

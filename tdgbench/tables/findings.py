@@ -17,7 +17,7 @@ from tdgbench.tables.claims.evidence import BUILT_IN, FAILS, HOLDS, THE_PAPER, J
 from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.comparisons import COUNTED, EQUAL, MethodComparison, margin_of
 from tdgbench.tables.equal_data import Place, equal_data_notes
-from tdgbench.tables.likeness import TRAINING_KIND, times_at_once
+from tdgbench.tables.likeness import TRAINING_KIND, is_selected, times_at_once
 from tdgbench.tables.long_table import NO_RECORD, method_label, planned_iterations
 from tdgbench.tables.measures import (
     ABLATION,
@@ -173,10 +173,11 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
 
 
 def _title(column: str, records: Sequence[Record]) -> str:
-    """Return a method's name, with what its depth prior is made from if not from the thermal images alone."""
-    found = [prior_source(one) for one in records if method_label(one, with_init=True) == column]
-    sources = " or ".join(filter(None, dict.fromkeys(found)))
-    return methods.label(column) + (f" with a depth prior made from {sources}" if sources else "")
+    """Return a method's name, with what else its scores come from: more than thermal images, or a choice by them."""
+    cells = [one for one in records if method_label(one, with_init=True) == column]
+    sources = " or ".join(filter(None, dict.fromkeys(map(prior_source, cells))))
+    selected = " (checkpoint chosen by test views: its scores are too high)" * any(map(is_selected, cells))
+    return methods.label(column) + (f" with a depth prior made from {sources}" if sources else "") + selected
 
 
 def _times(columns: Iterable[str], records: Sequence[Record]) -> list[str]:

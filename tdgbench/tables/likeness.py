@@ -162,6 +162,18 @@ def times_at_once(records: Iterable[Record]) -> list[str]:
     return [f"times are of {' or '.join(map(str, numbers))} cells at once, which may slow each other down"]
 
 
+def is_selected(record: Record) -> bool:
+    """Return whether test views chose the checkpoint behind a cell's scores."""
+    return dict(record.made_elsewhere or {}).get("checkpoint_rule") == "best_test_view"
+
+
+def selected_notes(records: Iterable[Record], column: Callable[[Record], str]) -> list[str]:
+    """Return a note for each column with such cells."""
+    chosen = dict.fromkeys(column(record) for record in records if is_selected(record))
+    what = "its checkpoint was chosen by test views, so its scores are too high beside the others"
+    return [f"selected: {methods.label(name)}: {what}" for name in chosen]
+
+
 def _problems(table: pd.DataFrame) -> list[str]:
     """Return a problem for each column and scene of a main table whose mean is of unlike trainings."""
     unlike = table[table["reason"].str.contains(UNLIKE, regex=False)]

@@ -13,6 +13,7 @@ from tdgbench.tables.build import build_tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
 from tdgbench.tables.findings import claims_in_words, published
 from tdgbench.tables.grids import SPREAD, TIMES
+from tdgbench.tables.show import show_tables
 from tests.helpers.records import write, write_ablation, write_record
 
 PAPER = [Description(s.name, DATASETS[s.dataset], s.group) for s in SCENES]
@@ -76,6 +77,19 @@ def test_they_say_no_more_than_the_interval(tmp_path, psnr, said):
     prior = "a depth prior made from the scene's sparse points (COLMAP mostly finds them in RGB images)"
     assert found[0].startswith(f"TDg with {prior} against MSMG on attic: PSNR ") and said in found[0]
     assert found[1].startswith("All trainings stopped at their last iteration, before a plateau") and len(found) == 3
+
+
+def test_scores_that_test_views_chose_are_told_wherever_they_stand(tmp_path, capsys):
+    made = {"files": "0", "summary": "made elsewhere", "checkpoint_rule": "best_test_view"}
+    write(tmp_path, "tdg", "attic", "folder", made_elsewhere=made)
+    write(tmp_path, "msmg", "attic", "folder")
+    tables = build_tables(tmp_path)
+    note = "selected: TDg: its checkpoint was chosen by test views, so its scores are too high beside the others"
+    show_tables(tables)
+    assert note in capsys.readouterr().out.splitlines() and note in tables.latex
+    assert tables.findings[0].startswith(
+        "TDg (checkpoint chosen by test views: its scores are too high) against MSMG on attic: PSNR "
+    )
 
 
 def test_they_count_what_the_tables_say(tmp_path):
