@@ -27,7 +27,7 @@ class SettlingRule(Rule):
     resolution. The training stalls when the last window gains less than `gain` on the window before. At the full
     resolution, a window stalls only if its gain plus one standard error is below `gain`, so that noise hides no gain.
     Nor does it stall while the Gaussians grow by more than `most_growth`: views agree that something is missing. At the
-    full resolution, no check is made until `last_after`, since nothing has grown.
+    full resolution, no check is made until `full_after`, since nothing has grown.
 
     A stall below the full resolution ends that resolution. The training settles after two resolutions in a row without
     a new best, or at the full resolution once the windows of stalls in a row cover `stalled_checks`. It settles at the
@@ -43,10 +43,10 @@ class SettlingRule(Rule):
     most: PositiveInt  # held-out views
     every: PositiveInt  # iterations between checks
     checks: PositiveInt  # in a window below the full resolution, at least
-    last_checks: PositiveInt  # in a window at the full resolution, at least
+    full_checks: PositiveInt  # in a window at the full resolution, at least
     stalled_checks: PositiveInt  # at the full resolution, covered by the windows of stalls in a row
     most_growth: PositiveFloat  # of the number of Gaussians within `stalled_checks` checks, for a stall
-    last_after: NonNegativeInt  # iterations before the first check at the full resolution
+    full_after: NonNegativeInt  # iterations before the first check at the full resolution
     window: Annotated[float, Field(gt=0, le=0.5)]  # share of the checks at a resolution that is in a window
     gain: PositiveFloat  # dB, the mean over held-out views
     tail: PositiveFloat  # iterations after settling, as a share of those before
@@ -134,12 +134,12 @@ class Settling(Stopping):
         if curriculum.scale != self._scale:  # by the schedule
             self._leave_resolution()
         is_full = curriculum.is_at_full_resolution
-        if is_full and iteration <= rule.last_after:
+        if is_full and iteration <= rule.full_after:
             return
         self._psnrs.append([self.psnr_of(view) for view in curriculum.held_out])
         self._counts.append(sum(part.gaussian_count for part in self.parts.values()))
         curriculum.checks.append([iteration, curriculum.scale, round(float(np.mean(self._psnrs[-1])), 3)])
-        last = last_window(rule, self._psnrs, rule.last_checks if is_full else rule.checks)
+        last = last_window(rule, self._psnrs, rule.full_checks if is_full else rule.checks)
         if last is None:
             return
         goes_on = last.gain + is_full * last.standard_error >= rule.gain or (is_full and self._is_growing)

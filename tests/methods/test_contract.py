@@ -39,7 +39,7 @@ OPTIONS = [
     "msmg thermal_camera.rig=true",
     pytest.param(
         "mftg budget=lean budget.settling.every=5 budget.settling.fewest=1 budget.settling.checks=1 "
-        "budget.settling.last_checks=1 budget.settling.last_after=0 budget.settling.stalled_checks=99",
+        "budget.settling.full_checks=1 budget.settling.full_after=0 budget.settling.stalled_checks=99",
         id="mftg budget=lean",
     ),
 ]  # that change parts
@@ -101,8 +101,8 @@ def test_a_cell_is_stored_rendered_again_scored_and_removed(configured, name):
 
 def test_stages_settle_by_their_own_images(configured, small_gray_scene):
     """With rules that look at held-out views, also a stage that trains on RGB; what was left out is counted in both."""
-    rules = "budget.settling.every=5 budget.settling.fewest=1 budget.settling.checks=1 budget.settling.last_checks=1 "
-    rules += "budget.settling.last_after=0 budget.settling.stalled_checks=1 budget.settling.gain=50"
+    rules = "budget.settling.every=5 budget.settling.fewest=1 budget.settling.checks=1 budget.settling.full_checks=1 "
+    rules += "budget.settling.full_after=0 budget.settling.stalled_checks=1 budget.settling.gain=50"
     cfg = configured(f"fine_tuned budget=lean {rules} budget.pixels.smallest_side=8 budget.iterations=120")
     outcome = run_quietly(cfg)
     assert outcome.status == "ok", outcome.message

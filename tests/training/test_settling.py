@@ -13,12 +13,12 @@ from tests.helpers.masks import masked_scene
 from tests.helpers.training import digest_of_all, ready_to_train, train_killed
 
 RULE = SettlingRule(
-    share=0.1, fewest=1, most=8, every=10, checks=2, last_checks=2, stalled_checks=1, most_growth=0.1,
-    last_after=0, window=0.2, gain=0.1, tail=0.5, slowdown=0.1,
+    share=0.1, fewest=1, most=8, every=10, checks=2, full_checks=2, stalled_checks=1, most_growth=0.1,
+    full_after=0, window=0.2, gain=0.1, tail=0.5, slowdown=0.1,
 )  # fmt: skip
 CONF = (
     "+budget.settling={_target_:tdgbench.training.budget.SettlingRule,share:0.1,fewest:1,most:2,every:5,checks:1,"
-    "last_checks:1,stalled_checks:1,most_growth:50,last_after:0,window:0.2,gain:50,tail:0.5,slowdown:0.1}"
+    "full_checks:1,stalled_checks:1,most_growth:50,full_after:0,window:0.2,gain:50,tail:0.5,slowdown:0.1}"
 )
 
 
@@ -100,21 +100,21 @@ def test_noise_hides_no_gain_at_the_full_resolution():
     def noisy(i, scale):
         return 0.005 * i + (-1) ** (i // 10)
 
-    rule = replace(RULE, last_checks=4, window=0.01, gain=0.5)
+    rule = replace(RULE, full_checks=4, window=0.01, gain=0.5)
     assert end_of(Scripted(lambda i, scale: 0.005 * i, rule=rule)) == 80 + 40
     assert end_of(Scripted(noisy, iterations=300, rule=rule)) == 300
     assert end_of(Scripted(lambda i, scale: noisy(i, 1) / scale, steps=[(400, 2)], rule=rule), 60) is None
 
 
 def test_windows_are_longer_at_the_full_resolution():
-    rule = replace(RULE, last_checks=3)
+    rule = replace(RULE, full_checks=3)
     stalls = Scripted(lambda i, scale: 10.0 / scale, steps=[(400, 2)], rule=rule)
     assert end_of(stalls) == 100 + 50
     assert stalls.curriculum.iterations == {2: 40, 1: 60 + 50}
 
 
 def test_no_check_counts_at_the_full_resolution_before_anything_has_grown():
-    rule = replace(RULE, last_after=90)
+    rule = replace(RULE, full_after=90)
     settling = Scripted(lambda i, scale: 10.0, rule=rule)
     assert end_of(settling) == 130 + 65 and settling.asked[0] == 100
     assert end_of(Scripted(lambda i, scale: 10.0 / scale, steps=[(400, 2)], rule=rule)) == 130 + 65  # 1/2 until 40
@@ -146,7 +146,7 @@ def test_one_stall_of_a_short_window_ends_no_training():
     assert end_of(Scripted(dips, iterations=300)) < 300
     assert end_of(Scripted(dips, iterations=300, rule=rule)) == 300
     assert end_of(Scripted(lambda i, scale: 10.0, rule=rule)) == 60 + 30
-    assert end_of(Scripted(lambda i, scale: 10.0, rule=replace(rule, last_checks=4))) == 80 + 40
+    assert end_of(Scripted(lambda i, scale: 10.0, rule=replace(rule, full_checks=4))) == 80 + 40
     stalls = Scripted(lambda i, scale: 10.0 / scale, steps=[(400, 2)], rule=rule)
     assert end_of(stalls) == 100 + 50 and stalls.curriculum.iterations == {2: 40, 1: 60 + 50}
 

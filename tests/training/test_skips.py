@@ -13,7 +13,7 @@ NAMES = ["gray", "rgb", "prior", "depth", "unseen", "saturated"]
 LEAN = (
     "budget=lean", "budget.iterations=60", "budget.density.start=5", "budget.density.every=5", "budget.density.stop=20",
     "budget.density.grad_threshold=1e-6", "budget.pixels.smallest_side=8", "budget.settling.every=10",
-    "budget.settling.checks=1", "budget.settling.last_checks=1", "budget.settling.last_after=0",
+    "budget.settling.checks=1", "budget.settling.full_checks=1", "budget.settling.full_after=0",
     "budget.settling.stalled_checks=1", "budget.settling.gain=50",
     "budget.settling.fewest=1",
 )  # fmt: skip
@@ -118,7 +118,7 @@ def test_the_rules_of_the_lean_budget(small_gray_scene):
 
 def test_a_training_that_never_settles_has_no_skip(small_gray_scene):
     found, _ = after_lean(
-        small_gray_scene, "budget.settling.gain=1e-9", "budget.settling.checks=9", "budget.settling.last_checks=9"
+        small_gray_scene, "budget.settling.gain=1e-9", "budget.settling.checks=9", "budget.settling.full_checks=9"
     )
     assert not found["settling"].taken and "went on getting better" in found["settling"].reason
 
