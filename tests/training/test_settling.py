@@ -122,7 +122,7 @@ def test_no_check_counts_at_the_full_resolution_before_anything_has_grown():
 
 @pytest.mark.parametrize("share", [0.02, 0.08])
 def test_nothing_settles_while_many_gaussians_grow(share):
-    """Within three checks they grow by 6 or 26 %, where 10 % are no reason to go on; the growth ends at iteration 200."""
+    """In three checks they grow by 6 or 26 %, where 10 % are no reason to go on; growth ends at iteration 200."""
 
     def no_better(i, scale):
         settling.part.gaussian_count = round(1000 * (1 + share) ** (min(i, 200) / 10))
