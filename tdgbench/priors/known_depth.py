@@ -10,13 +10,17 @@ import numpy as np
 from tdgbench.priors.prior import DepthPrior
 from tdgbench.priors.sfm_points import visible_points
 from tdgbench.scenes import Scene, View
+from tdgbench.text import named
 
 GRID_WIDTH = 160  # columns of the grid on which points hide others, as in conf/prior/sfm_points.yaml
 _OCCLUSION = 0.1  # as there
 MOST_POINTS = 20_000  # that priors are compared with
 FEWEST_POINTS = 20  # in a view that is compared
 LEAST_RANK = 0.2  # of maps that are not doubted: Spearman's correlation with depth, median of the views
-MOST_COMPARED = 16  # views whose priors are compared with one another
+FAR = 0.4  # below that median, where a single view's is doubted
+LEAST_SPREAD = 0.02  # of the 80 % of depths in the middle, share of their median; less is mostly the points' noise
+MOST_COMPARED = 40  # views whose priors are compared with one another
+MOST_POINTS_OF_A_PAIR = 500
 RESIDUAL = 0.7  # of 1 − rank correlation: a prior that leaves less fits a view better than its own
 LARGEST_RATIO = 3.0  # of a metric map's depth and that of points, median of the views
 
@@ -60,7 +64,7 @@ def doubts_of(priors: Mapping[str, DepthPrior], scene: Scene) -> Iterator[str]:
     sign = -1 if kind == "disparity" else 1
     known = {view.name: _of_points(view, points[:: len(points) // MOST_POINTS + 1]) for view in scene.train}
     ranks = {name: sign * _rank(priors[name].values, known[name]) for name in known}
-    ranks = {name: rank for name, rank in ranks.items() if np.isfinite(rank)}
+    ranks = {name: rank for name, rank in ranks.items() if np.isfinite(rank) and _spread(known[name].z) > LEAST_SPREAD}
     if not ranks:
         return
     rank, where = float(np.median([*ranks.values()])), f"of the sparse points (median of {len(ranks)} views)"
@@ -70,20 +74,53 @@ def doubts_of(priors: Mapping[str, DepthPrior], scene: Scene) -> Iterator[str]:
             "kind, its files' names and its orientation right?"
         )
         return
-    some = [*ranks][:: len(ranks) // MOST_COMPARED + 1]
-    best = {a: max(sign * _rank(priors[b].values, known[a]) for b in some if b != a) for a in some} if some[1:] else {}
-    swapped = [name for name, other in best.items() if 1 - other < RESIDUAL * (1 - ranks[name])]
-    if len(swapped) > len(some) / 2:
-        yield (
-            f"the depth priors of {len(swapped)} of {len(some)} compared views fit the sparse points worse than the "
-            "prior of another view: are their files' names right?"
-        )
+    yield from _doubted_views(priors, known, ranks, sign)
     if kind == "metric":
         ratio = float(
             np.median([np.nanmedian(_at(priors[name].values, known[name]) / known[name].z) for name in ranks])
         )
         if not 1 / LARGEST_RATIO <= ratio <= LARGEST_RATIO:
             yield f"the depth prior, of kind metric, is {ratio:.3g} × the depth {where}: is it in the scene's units?"
+
+
+def _doubted_views(
+    priors: Mapping[str, DepthPrior], known: Mapping[str, KnownDepth], ranks: Mapping[str, float], sign: int
+) -> Iterator[str]:
+    """Yield which priors are upside down, of another view or of none. ranks: of each with its own view's points."""
+    flipped = [n for n in ranks if _fits_better(sign * _rank(priors[n].values[::-1], known[n]), ranks[n])]
+    upright = [name for name in ranks if name not in flipped]
+    some = upright[:: len(upright) // (MOST_COMPARED + 1) + 1]
+    steps = {name: len(known[name].z) // MOST_POINTS_OF_A_PAIR + 1 for name in some}
+    few = {name: KnownDepth(*(array[:: steps[name]] for array in known[name])) for name in some}
+    fits = {(a, b): sign * _rank(priors[b].values, few[a]) for a in some for b in some}
+    better = {(a, b) for a, b in fits if _fits_better(fits[a, b], fits[a, a])}  # of a, the prior of b
+    moved = {a for a, _ in better}
+    if len(moved) > len(some) / 2:
+        yield (
+            f"the depth priors of {len(moved)} of {len(some)} compared views fit the sparse points worse than the "
+            "prior of another view: are their files' names right?"
+        )
+        return
+    exchanged = [a for a in some if any((a, b) in better and (b, a) in better for b in some)]
+    rank = float(np.median([*ranks.values()]))
+    unlike = [n for n in upright if ranks[n] < min(LEAST_RANK, rank - FAR) and n not in exchanged]
+    for names, what in (
+        (flipped, "fit the sparse points better upside down ({}); flip them"),
+        (exchanged, "fit the sparse points of another view, whose prior fits theirs ({}); exchange their files"),
+        (unlike, f"do not fit the sparse points (rank correlation below {LEAST_RANK}, median {rank:.2f}): {{}}"),
+    ):
+        if names:
+            yield f"{len(names)} of {len(ranks)} depth priors {what.format(named(names))}"
+
+
+def _fits_better(rank: float, own: float) -> bool:
+    """Return whether a prior with this rank correlation fits a view better than the view's own prior."""
+    return rank >= LEAST_RANK and 1 - rank < RESIDUAL * (1 - own)
+
+
+def _spread(z: np.ndarray) -> float:
+    nearest, median, farthest = np.quantile(z, (0.1, 0.5, 0.9))
+    return float((farthest - nearest) / median)
 
 
 def _at(values: np.ndarray, known: KnownDepth) -> np.ndarray:

@@ -80,6 +80,13 @@ DOUBTED = {
     "a rank correlation of -": lambda z: ("disparity", z),
     "of kind depth, has a rank correlation of": lambda z: ("depth", z[::-1]),
     "fit the sparse points worse than the prior of another view: are their files' names right?": lambda z: ("depth", z),
+    "2 of 8 depth priors fit the sparse points of another view, whose prior fits theirs (view002, view003); ": (
+        lambda z: ("depth", z)
+    ),
+    "3 of 8 depth priors fit the sparse points better upside down (view001, view002, view003); flip them": (
+        lambda z: ("depth", z)
+    ),
+    "1 of 8 depth priors do not fit the sparse points (rank correlation below 0.2, median 0.9": lambda z: ("depth", z),
     "of kind metric, is 1e+03 × the depth of the sparse points": lambda z: ("metric", 1000 * z),
 }
 
@@ -89,6 +96,12 @@ def test_maps_that_contradict_the_sparse_points_are_doubted(small_scene, tmp_pat
     priors = {view.name: DepthPrior(*DOUBTED[doubt](view.true_depth)[::-1]) for view in small_scene.train}
     if doubt.endswith("names right?"):
         priors = dict(zip(priors, [*priors.values()][3:] + [*priors.values()][:3], strict=True))
+    elif "whose prior" in doubt:
+        priors |= {"view002": priors["view003"], "view003": priors["view002"]}
+    elif "upside" in doubt:
+        priors |= {name: replace(priors[name], values=priors[name].values[::-1]) for name in [*priors][:3]}
+    elif "do not fit" in doubt:
+        priors["view001"] = DepthPrior(np.random.default_rng(0).random((36, 48)), "depth")
     doubts = [*doubts_of(priors, small_scene)]
     assert len(doubts) == bool(doubt) and all(doubt in one for one in doubts), doubts
     assert not [*doubts_of(priors, replace(small_scene, points=None))]
