@@ -36,7 +36,7 @@ from tdgbench.splats.density import GradientKind
 from tdgbench.text import meant
 from tdgbench.training.budget import RULES
 from tdgbench.training.method import Method
-from tdgbench.training.skips import SWITCHES
+from tdgbench.training.skips import no_such_skip
 
 TEXTS = ("name", "scene", "results", "data.root")  # an ordinary name may be a number: name=2024
 LONGEST_NAME = 120  # bytes
@@ -181,12 +181,11 @@ def _backend(name: str) -> str:
 
 
 def _skips(allowed: dict[str, Any]) -> dict[str, Any]:
-    unknown = [name for name in allowed if name not in ("_target_", "otherwise", *SWITCHES)]
-    rules = [name for name in unknown if name in RULES]
+    rules = [name for name in allowed if name in RULES]
     if rules:
         raise ValueError(f"{rules[0]} is a rule of the budget: budget.{rules[0]}=null switches it off")
-    if unknown:
-        raise ValueError(f"there is no skip {', '.join(unknown)}; there are {', '.join(SWITCHES)}")
+    if problem := no_such_skip(allowed.keys() - {"_target_", "otherwise"}):
+        raise ValueError(problem)
     return allowed
 
 

@@ -20,7 +20,7 @@ from tdgbench.bench.options import check_names, check_options
 from tdgbench.bench.progress import CellProgress, Outcome, Status, finished
 from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.key import as_json, why_differs
-from tdgbench.cells.paths import RECORD_FILE, hidden_folder, short_name
+from tdgbench.cells.paths import CHECKPOINTS, RECORD_FILE, hidden_folder, short_name
 from tdgbench.cells.record import Failure, Record, readable_record, record_files
 from tdgbench.files import file_lock, finish_replacement, put_in_place, whole_folder
 from tdgbench.priors import PriorUnavailableError
@@ -231,7 +231,7 @@ def stored_in_words(experiment: Path) -> str:
     count = sum(record is not None and record.status == "ok" for record in records)
     cells = f"{count} finished {'cell' if count == 1 else 'cells'}"
     written = []
-    for path in (experiment / "checkpoints").glob("[!.]*.pt"):
+    for path in (experiment / CHECKPOINTS).glob("[!.]*.pt"):
         with suppress(OSError):  # another process has just removed it
             written.append(path.stat().st_mtime)
     state = f" and a checkpoint of {max(0, time.time() - max(written)):.0f} s ago" if written else ""

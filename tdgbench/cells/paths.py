@@ -16,6 +16,7 @@ VIEWS_FILE = "views.csv"  # scores of each test view
 LOG_FILE = "log.csv"  # lines of the training
 PARTS_FILE = "parts.pt"  # parts of the method that rendering needs beside the Gaussians
 MASKS = "masks"  # folder: valid pixels of the test views
+CHECKPOINTS, RUNNING = "checkpoints", "running"  # folders of an experiment: what cells in training have by `short_name`
 DETERMINACY = "determinacy"  # folder: how well the training views determine each pixel of the test views
 _MODEL, _RENDERS, _TARGETS = "model", "renders", "targets"
 # Files of a cell by relative path; every other file is a stranger there.

@@ -6,7 +6,7 @@ null.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -53,9 +53,8 @@ class Skips:
 
     def __init__(self, otherwise: bool = True, **allowed: bool) -> None:
         """Switch skips on or off by name; `otherwise` counts for the others. Raises ValueError for an unknown name."""
-        unknown = sorted(set(allowed) - set(SWITCHES))
-        if unknown:
-            raise ValueError(f"there is no skip {', '.join(unknown)}; there are {', '.join(SWITCHES)}")
+        if problem := no_such_skip(allowed):
+            raise ValueError(problem)
         self.gray, self.rgb, self.prior, self.depth, self.unseen, self.saturated = (
             Skip(name, allowed.get(name, otherwise)) for name in SWITCHES
         )
@@ -73,6 +72,12 @@ class Skips:
 
 
 SWITCHES = ("gray", "rgb", "prior", "depth", "unseen", "saturated")
+
+
+def no_such_skip(names: Iterable[str], known: Sequence[str] = SWITCHES) -> str:
+    """Return which names are of no skip, and which there are; empty if all are known."""
+    unknown = sorted({*names} - {*known})
+    return f"there is no skip {', '.join(unknown)}; there are {', '.join(known)}" if unknown else ""
 
 
 @dataclass

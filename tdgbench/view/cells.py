@@ -12,7 +12,7 @@ import numpy as np
 
 from tdgbench.cells.folder import CellFolder, read_cells
 from tdgbench.cells.known_classes import UnknownMethodError
-from tdgbench.cells.paths import RECORD_FILE, cell_folder_of, files_of
+from tdgbench.cells.paths import CHECKPOINTS, RECORD_FILE, RUNNING, cell_folder_of, files_of
 from tdgbench.cells.record import Record, read_record, record_files
 from tdgbench.cells.renders import MethodInTraining, StoredMethod, response_of
 from tdgbench.scenes import Camera
@@ -186,8 +186,8 @@ class Follower:
 
     def _look(self) -> str:
         """Read the cell if it has changed; return its state in words."""
-        running = {folder: read_record(folder) for folder in (self._experiment / "running").glob("[!.]*")}
-        paths = {folder: self._experiment / "checkpoints" / f"{folder.name}.pt" for folder in running}
+        running = {folder: read_record(folder) for folder in (self._experiment / RUNNING).glob("[!.]*")}
+        paths = {folder: self._experiment / CHECKPOINTS / f"{folder.name}.pt" for folder in running}
         written = {folder: path.stat().st_mtime_ns for folder, path in paths.items() if path.exists()}
         last = None if self._cell is None else self._cell.cell.folder
         folder = last if last in written else max(written, key=written.__getitem__, default=None)

@@ -15,7 +15,8 @@ from pydantic import AliasPath, BaseModel, Field, NonNegativeInt
 from tdgbench import __version__
 from tdgbench.archives import safe_path
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.registry import DATASETS, SCENES
+from tdgbench.scenes.layouts import LAYOUTS
+from tdgbench.scenes.registry import SCENES
 from tdgbench.text import shortened
 
 ZENODO, DRIVE = "https://zenodo.org", "https://drive.google.com"
@@ -36,18 +37,22 @@ class BadFileError(GetError):
 class PublishedDataset(NamedTuple):
     """A published data set.
 
-    folder: in a data root. page: the address for a browser, which ends in the identifier of a Zenodo record or of a
-    Google Drive folder. authors: whom to ask if it is gone. known: when the address was last known to work or not, and
-    by whom. holds: what, and under which licence.
+    page: the address for a browser, which ends in the identifier of a Zenodo record or of a Google Drive folder.
+    authors: whom to ask if it is gone. known: when the address was last known to work or not, and by whom. holds: what,
+    and under which licence.
     """
 
     dataset: str
-    folder: str
     paper: str
     page: str
     authors: str
     known: str
     holds: str
+
+    @property
+    def folder(self) -> str:
+        """Name of its folder in a data root."""
+        return LAYOUTS[self.dataset].title
 
     def scene(self, folder: str) -> str:
         """Return the name of a scene: the paper's for a name or alias of one of its scenes, else the folder's.
@@ -65,26 +70,26 @@ SOURCES = {
     for source in (
         # mert-o/ThermalNeRFs, readme.md, d822bd1
         PublishedDataset(
-            "thermalmix", DATASETS["thermalmix"], "Özer et al. 2024", f"{ZENODO}/records/11065834",
+            "thermalmix", "Özer et al. 2024", f"{ZENODO}/records/11065834",
             "github.com/mert-o/ThermalNeRFs", "April 2026: others name it as their source (SEAR 7a2e71b)",
             f"6 scenes, 5 of them the paper's, about 360 images; {BY_ZENODO}",
         ),
         # chen-hangyu/Thermal-Gaussian-main, README.md, 050c291; issue 14 is still open
         PublishedDataset(
-            "rgbt_scenes", DATASETS["rgbt_scenes"], "Lu et al. 2024",
+            "rgbt_scenes", "Lu et al. 2024",
             f"{DRIVE}/drive/folders/1xuPwqezNW_LSB5C-H8TQFJ7nLoSS2BOg", "github.com/chen-hangyu/Thermal-Gaussian-main",
             "24 November 2025: readers report that it is gone (404); by its list, `sear` has the captures",
             "10 scenes, 7 of them the paper's, and an extension with GlassCup and DarkScenes; licence: not known here",
         ),
         # Schindler-EPFL-Lab/thermo-nerf, README.md, 08d9be9
         PublishedDataset(
-            "thermoscenes", "ThermoScenes", "Hassan et al. 2024", f"{ZENODO}/records/10835108",
+            "thermoscenes", "Hassan et al. 2024", f"{ZENODO}/records/10835108",
             "github.com/Schindler-EPFL-Lab/thermo-nerf", "April 2026: others name it as their source (SEAR 7a2e71b)",
             f"16 scenes by its paper, none of them in TDg's; {BY_ZENODO}",
         ),
         # Schindler-EPFL-Lab/SEAR, README.md, d53ed32; docs/Dataset.md, 7a2e71b
         PublishedDataset(
-            "sear", "SEAR", "Skorokhodov et al. 2026", f"{ZENODO}/records/19057885",
+            "sear", "Skorokhodov et al. 2026", f"{ZENODO}/records/19057885",
             "github.com/Schindler-EPFL-Lab/SEAR", "29 April 2026: its authors name it; not tried here",
             "scenes of RGBT-Scenes, ThermalMix, ThermoScenes and others, with cameras by VGGT and gray images: "
             f"scores of dataset=sear are none of theirs; {BY_ZENODO}",
