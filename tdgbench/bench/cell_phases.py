@@ -26,7 +26,7 @@ from tdgbench.cells.cell_tables import write_log, write_views
 from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.ground_truth import truth_hashes
 from tdgbench.cells.key import as_json, cell_key, relevant_config
-from tdgbench.cells.paths import cell_folder_of, files_of, prior_cache, short_name
+from tdgbench.cells.paths import CHECKPOINTS, RUNNING, cell_folder_of, files_of, prior_cache, short_name
 from tdgbench.cells.protocol import protocol_of
 from tdgbench.cells.read_files import MOST_PIXELS
 from tdgbench.cells.record import MadeElsewhere, PartReport, Record
@@ -35,7 +35,7 @@ from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene, SceneError
 from tdgbench.scenes.datasets import Outline, outline_of
 from tdgbench.scoring import Scorer, mean_scores
-from tdgbench.scoring.scorer import FAILED
+from tdgbench.scoring.scorer import MetricFault
 from tdgbench.splats.ply import save_ply
 from tdgbench.text import duration
 from tdgbench.thermal import ImageResponse
@@ -193,7 +193,7 @@ class CellRun(SetupObserver):
             with self.phase("score_train"):
                 record.train_scores = score_training_views(trainer, scene, scorer, response)
             record.scores, record.missing = mean_scores(scores), {**record.missing, **scorer.missing}
-            self.remarks += [f"{name} {why}" for name, why in scorer.missing.items() if why.startswith(FAILED)]
+            self.remarks += [f"{name} {why}" for name, why in scorer.missing.items() if isinstance(why, MetricFault)]
             with self.phase("write"):
                 for name, model in trainer.gaussians.items():
                     save_ply(model.gaussians, unfinished / files_of(name).model)
@@ -249,11 +249,11 @@ class CellRun(SetupObserver):
 
     @property
     def _running(self) -> Path:
-        return self.experiment / "running" / short_name(self.experiment, self.folder)
+        return self.experiment / RUNNING / short_name(self.experiment, self.folder)
 
     @property
     def _checkpoint_path(self) -> Path:
-        return self.experiment / "checkpoints" / f"{short_name(self.experiment, self.folder)}.pt"
+        return self.experiment / CHECKPOINTS / f"{short_name(self.experiment, self.folder)}.pt"
 
     def _open_checkpoint(self) -> Checkpoint:
         """Return the checkpoint of this cell; with overwrite=always a stored one is removed."""

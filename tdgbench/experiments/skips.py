@@ -27,10 +27,11 @@ from tdgbench.experiments.matrix import (
 from tdgbench.tables.palette import IMAGES
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.training.budget import SKIP_RULES as RULES
-from tdgbench.training.skips import SWITCHES
+from tdgbench.training.skips import SWITCHES, no_such_skip
 
 NAMES = (*SWITCHES, *RULES)
 NONE, ALL, ALONE, WITHOUT = "none", "all", "only {}", "without {}"  # variants
+TAKEN = "taken"  # column of the names of a cell's skips that were taken, which no file has
 TOGETHER = "all together"  # the row of the variant ALL
 MAX_LOSS = {"psnr": 0.05, "ssim": 0.001}  # on any scene, of a skip that is on by default
 BEFORE = ("load", "images", "thermal_camera", "prior", "init", "compile", "rig")  # training
@@ -75,7 +76,7 @@ class SkipAblation(Matrix):
         if rows.empty:
             return {}
         table = summary(rows, list(cfg.study.skips)).assign(**{IMAGES: self.image_values(cells)})
-        return {"skips": table, "skips_cells": rows}
+        return {"skips": table, "skips_cells": rows.drop(columns=TAKEN)}
 
     def show(self, table: pd.DataFrame) -> None:
         show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), _SHOWN))
@@ -90,9 +91,7 @@ def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[
     >>> list(variants(["gray"], dict.fromkeys(NAMES, True)))
     ['none', 'all', 'only gray', 'without gray']
     """
-    unknown = set(names) - set(NAMES)
-    if unknown:
-        what = f"there is no skip {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}"
+    if what := no_such_skip(names, NAMES):
         raise OptionError([Problem("study.skips", what)])
     together = {name: name in names and usual[name] for name in NAMES}
     choices = {NONE: dict.fromkeys(NAMES, False), ALL: together}
@@ -113,6 +112,7 @@ def numbers(record: Record) -> dict[str, Any]:
         "gaussians": sum(record.gaussians.values()),
         "peak_rss_mb": record.peak_rss_mb,
         **{metric: record.scores.get(metric) for metric in QUALITY},
+        TAKEN: frozenset(skip["name"] for skip in taken),
         "left_out": "; ".join(f"{skip['name']}: {skip['saved']} ({skip['reason']})" for skip in taken),
     }
 
@@ -174,5 +174,5 @@ def _ratio(table: pd.DataFrame, slow: str, fast: str, column: str = "train_secon
 def _taken(table: pd.DataFrame, variant: str, name: str) -> str:
     """Name the scenes on which the skip was taken."""
     cells = table[table["variant"] == variant]
-    taken = cells[cells["left_out"].str.contains(f"(?:^|; ){name}: ", regex=True)]
+    taken = cells[[name in names for names in cells[TAKEN]]]
     return ", ".join(dict.fromkeys(taken["scene"])) or "none"

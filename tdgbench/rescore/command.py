@@ -29,7 +29,7 @@ from tdgbench.rescore.cell import score_cell
 from tdgbench.resources import conf_folder
 from tdgbench.scoring import Scorer
 from tdgbench.scoring.metrics.lpips import LPIPS
-from tdgbench.scoring.scorer import FAILED
+from tdgbench.scoring.scorer import MetricFault
 from tdgbench.tables.measures import entries_of
 from tdgbench.terminal import errors_in_one_line, say, show_findings
 from tdgbench.text import one_line
@@ -115,7 +115,7 @@ def _score(cell: CellFolder, target: Path, chosen: Chosen | None, scorers: dict[
     scorer = scorers.setdefault(json.dumps([metrics, download], sort_keys=True), scorer)
     scores = score_cell(cell, target, scorer, metrics)
     why = {m: scorer.missing.get(m, "") for m in scores if scores[m] is None}
-    faulty = [m for m, reason in why.items() if reason.startswith(FAILED)]
+    faulty = [m for m, reason in why.items() if isinstance(reason, MetricFault)]
     by_outcome: dict[str, list[str]] = {}
     for m in scores:
         if m not in faulty:

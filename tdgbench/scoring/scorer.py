@@ -29,12 +29,15 @@ from tdgbench.scoring.scored_view import (
 )
 from tdgbench.splats.cpu import pool
 
-FAILED = "failed"  # first word of why a metric of the user is n/a, where that is a fault of its code
 PIXELS_AT_ONCE = 8 * 640 * 480  # LPIPS with vgg takes up to 1 kB a pixel: 300 MB for a view of 640×480, 2.4 GB for 8
 
 T = TypeVar("T")
 R = TypeVar("R")
 Scores = dict[str, float | None]  # by metric; None: it does not apply
+
+
+class MetricFault(str):
+    """Why a metric of the user is n/a, where that is a fault of its code."""
 
 
 def _existing(file: str) -> str:
@@ -142,7 +145,7 @@ def _scored(shown: ScoredView, metrics: Iterable[Metric]) -> tuple[Scores, dict[
         except Exception as error:  # the user's code may raise anything; it costs no training and no other score
             if metric.name in METRICS or isinstance(error, MemoryError):
                 raise
-            scores[metric.name], missing[metric.name] = None, f"{FAILED}: {_in_words(error)}"
+            scores[metric.name], missing[metric.name] = None, MetricFault(f"failed: {_in_words(error)}")
     return scores, missing
 
 

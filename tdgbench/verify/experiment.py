@@ -18,7 +18,7 @@ from tdgbench.tables.equal_data import equal_in_words, equal_scenes
 from tdgbench.terminal import say
 from tdgbench.text import meant, one_line
 from tdgbench.verify.cell import check_cell, read_cell
-from tdgbench.verify.problems import NOT_CHECKED, NOT_COMPUTED, NotCheckedError, Problems
+from tdgbench.verify.problems import NotCheckedError, Problems
 from tdgbench.verify.record_problems import place_problems
 from tdgbench.verify.truth import data_problems, true_data
 
@@ -32,6 +32,7 @@ class Verification(NamedTuple):
     checked: finished cells whose ground truth was compared with data. why_not: of the others, each reason once. equal:
     scenes with the test images of another one, in words. foreign: methods that are none of tdgbench's and whose renders
     were compared with those of their Gaussians alone. named: classes of methods and metrics that records name.
+    not_made: how many problems are checks that could not be made.
     """
 
     cells: int
@@ -42,17 +43,17 @@ class Verification(NamedTuple):
     equal: tuple[str, ...] = ()
     foreign: tuple[str, ...] = ()
     named: frozenset[str] = frozenset()
+    not_made: int = 0
 
     @property
     def in_words(self) -> str:
         """The number of problems, and how many of them are no wrong number but a check that was not made.
 
-        >>> Verification(2, 2, ["lpips cannot be computed again: no weights", "psnr is 9, not 8"]).in_words
+        >>> Verification(2, 2, ["lpips cannot be computed again: no weights", "psnr is 9, not 8"], not_made=1).in_words
         '2 problems, 1 of them checks that could not be made'
         """
-        m = len(self.problems)
-        not_made = sum(NOT_CHECKED in problem or NOT_COMPUTED in problem for problem in self.problems)
-        some = f", {'all' if not_made == m else not_made} of them checks that could not be made" if not_made else ""
+        m, n = len(self.problems), self.not_made
+        some = f", {'all' if n == m else n} of them checks that could not be made" if n else ""
         return f"{m} problem{'s' * (m != 1)}{some}"
 
     @property
@@ -117,7 +118,7 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
     foreign: dict[str, None] = {}
     named: set[str] = set()
     of_plan.read("its plan", read_plan, experiment)
-    problems = of_plan.all
+    problems, not_made = of_plan.all, 0
     with true_data(data) as true:
         for folder in (path.parent for path in records):
             found = Problems()
@@ -137,10 +138,11 @@ def verify(experiment: Path, data: Path | None = None, weights: Path | None = No
                         why_not[str(reason)] = None
             name = folder.relative_to(experiment / "cells").as_posix()
             problems += [f"{name}: {problem}" for problem in found.all]
+            not_made += found.not_made
     problems += [f"{folder.relative_to(experiment / 'cells').as_posix()}: {RECORD_FILE} is missing" for folder in lost]
     equal = tuple(equal_in_words(twin, first) for twin, first in equal_scenes(sound).items())
     return Verification(
-        len(records), finished, problems, checked, tuple(why_not), equal, tuple(foreign), frozenset(named)
+        len(records), finished, problems, checked, tuple(why_not), equal, tuple(foreign), frozenset(named), not_made
     )
 
 

@@ -10,8 +10,11 @@ from tdgbench.scoring.scored_view import NotApplicableError
 P = ParamSpec("P")
 T = TypeVar("T")
 FAILURES = (Exception, SystemExit)  # a user's method may end the process, which is no success
-NOT_CHECKED, NOT_COMPUTED = "cannot be checked", "cannot be computed again"  # of checks that were not made
 SAYS_ENOUGH = (ValueError, OSError, NotApplicableError)  # their message needs no type
+
+
+class NotMade(str):
+    """A problem that is no wrong number: a check that could not be made."""
 
 
 class NotCheckedError(Exception):
@@ -35,7 +38,7 @@ class Problems:
         except NotCheckedError:
             raise
         except FAILURES as error:
-            self._add(f"{what} {NOT_CHECKED}: {reason(error)}")
+            self._add(NotMade(f"{what} cannot be checked: {reason(error)}"))
             return False
         return True
 
@@ -46,6 +49,11 @@ class Problems:
         except FAILURES as error:
             self._add(f"{what} cannot be read: {reason(error)}")
             return None
+
+    @property
+    def not_made(self) -> int:
+        """How many of them are checks that could not be made."""
+        return sum(isinstance(problem, NotMade) for problem in self.all)
 
     def _add(self, problem: str) -> None:
         if problem not in self.all:

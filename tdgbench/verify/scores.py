@@ -20,7 +20,7 @@ from tdgbench.scoring import METRICS, RenderedImages, Scores, mean_scores
 from tdgbench.scoring.backbones import BackboneUnavailableError
 from tdgbench.scoring.metric import ImageMetric, Metric, MetricError
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
-from tdgbench.verify.problems import NOT_COMPUTED
+from tdgbench.verify.problems import NotMade
 
 TOLERANCE = 1e-6  # of means
 
@@ -106,7 +106,7 @@ def _view_problems(
         if metric.name in METRICS and not isinstance(error, NotApplicableError | MetricError):
             raise
         if stored is not None:
-            yield f"{metric.name} {NOT_COMPUTED}: {error}"
+            yield NotMade(f"{metric.name} cannot be computed again: {error}")
         return None
     if row is not None and not _is_verified(metric, value, stored):
         name = shown.view.name

@@ -50,7 +50,7 @@ def rows_of(records):
 
 
 def record(scene, variant, seconds, psnr, ssim=0.9, taken=()):
-    skips = [{"name": n, "allowed": True, "taken": True, "reason": "so", "saved": "much"} for n in taken]
+    skips = [{"name": n, "allowed": True, "taken": True, "reason": "so; gray: no", "saved": "much"} for n in taken]
     return Record(
         method="tdg", dataset="synthetic", scene=scene, init="colmap", seed=0, experiment="skips", variant=variant,
         seconds={"train": seconds, "load": 1.0}, scores={"psnr": psnr, "ssim": ssim, "lpips": None}, skips=skips,
@@ -61,7 +61,7 @@ def record(scene, variant, seconds, psnr, ssim=0.9, taken=()):
 RECORDS = [
     record("a", "none", 8.0, 30.0), record("a", "all", 2.0, 29.99, taken=["gray"]),
     record("a", "only gray", 4.0, 30.0, taken=["gray"]), record("a", "without gray", 4.0, 30.0),
-    record("b", "none", 8.0, 30.0), record("b", "all", 8.0, 29.9), record("b", "only gray", 8.0, 30.02),
+    record("b", "none", 8.0, 30.0), record("b", "all", 8.0, 29.9), record("b", "only gray", 8.0, 30.02, taken=["rgb"]),
     record("b", "without gray", 8.0, 30.0),
 ]  # fmt: skip
 
@@ -70,7 +70,8 @@ def test_rows_compare_with_the_same_scene_without_skips():
     table = rows_of(RECORDS).set_index(["scene", "variant"])
     assert table.loc[("a", "all"), "change of psnr"] == pytest.approx(-0.01)
     assert table.loc[("b", "all"), "change of psnr"] == pytest.approx(-0.1)
-    assert table.loc[("a", "all"), "left_out"] == "gray: much (so)" and table.loc[("a", "none"), "left_out"] == ""
+    left_out = table.loc["a", "left_out"]
+    assert left_out["all"] == "gray: much (so; gray: no)" and left_out["none"] == ""
 
 
 def test_summary():
