@@ -59,7 +59,7 @@ class FilePrior:
             values = read_array(path).astype(np.float32).squeeze() if is_array else _read_png(path)
             if values.ndim != 2:
                 raise PriorError(f"{path} has shape {values.shape}; a depth map is (H, W)")
-            _check_size(path, values, scene, view)
+            _check_size(path, values, view)
         if is_array:
             return _usable(path, DepthPrior(values, self.kind).resized(width, height))
         if values.shape != (height, width):
@@ -105,7 +105,7 @@ def _usable(path: Path, prior: DepthPrior) -> DepthPrior:
     return prior
 
 
-def _check_size(path: Path, values: np.ndarray, scene: Scene, view: View) -> None:
+def _check_size(path: Path, values: np.ndarray, view: View) -> None:
     """Raise PriorError for a map (H, W) that cannot be of the view's image, which may have another size."""
     (height, width), camera = values.shape, view.camera
     if abs(width * camera.height - height * camera.width) > max(width, height):  # a pixel of rounding
@@ -113,7 +113,7 @@ def _check_size(path: Path, values: np.ndarray, scene: Scene, view: View) -> Non
             f"{path} is {width}×{height} px and the image of view {view.name} {camera.width}×{camera.height} px: their "
             "aspect ratios differ, so it is no map of this image; make it again"
         )
-    if "lens" not in scene.assumed or (width, height) == (camera.width, camera.height) or view.thermal_path is None:
+    if not view.is_undistorted or (width, height) == (camera.width, camera.height) or view.thermal_path is None:
         return
     if (width, height) == header(view.thermal_path, as_picture=True)[1:3]:
         raise PriorError(

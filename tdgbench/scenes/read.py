@@ -214,6 +214,7 @@ def _make_view(source: ImageSource, camera: Camera, photo: ImageSource | None, t
     return View(
         source.posed.name, camera, partial(_refuse, source.posed.name),
         load_rgb=None if photo is None else partial(_load_rgb, photo), thermal_path=source.path,
+        is_undistorted=source.posed.undistortion is not None,
         load_true_depth=None if depth is None else partial(_read_map, depth, "depth map", camera),
         load_true_temperature=None if degC is None else partial(_read_map, degC, "map of temperatures", camera),
     )  # fmt: skip

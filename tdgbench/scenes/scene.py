@@ -70,6 +70,7 @@ class View:
     load_valid: Callable[[], np.ndarray] | None = field(default=None, repr=False)
     load_true_depth: Callable[[], np.ndarray] | None = field(default=None, repr=False)  # of synthetic scenes
     load_true_temperature: Callable[[], np.ndarray] | None = field(default=None, repr=False)  # of synthetic scenes
+    is_undistorted: bool = False  # the distortion of the lens that its files have was removed
 
     def with_thermal(self, image: np.ndarray, **changes: Any) -> View:
         """Return this view with another thermal image (H, W, C) and other fields, and with what was read besides."""

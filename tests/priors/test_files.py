@@ -111,11 +111,10 @@ def test_a_map_of_the_distorted_image_is_refused(small_scene, tmp_path):
     """The lens' distortion is removed from the view, so the map of its file does not fit, whatever data.width is."""
     view = small_scene.train[0]
     np.save(tmp_path / f"{view.name}.npy", RAMP[None])
-    camera = view.camera.resized(47, 35)
-    scene = replace(small_scene, assumed={"lens": "OPENCV: distortion removed, bilinear"})
+    view = replace(view, is_undistorted=True)
     with pytest.raises(PriorError, match=r"has the size of view001\.png, whose lens distortion is removed"):
-        FilePrior(str(tmp_path), "depth").estimate(scene, replace(view, camera=camera))
-    assert FilePrior(str(tmp_path), "depth").estimate(scene, view).values.shape == (36, 48)
+        FilePrior(str(tmp_path), "depth").estimate(small_scene, replace(view, camera=view.camera.resized(47, 35)))
+    assert FilePrior(str(tmp_path), "depth").estimate(small_scene, view).values.shape == (36, 48)
 
 
 def test_files_that_cannot_be_used_are_named(small_scene, tmp_path):

@@ -59,7 +59,7 @@ def test_distortion_is_removed_at_the_images_size(small_gray_scene, tmp_path, mo
     whole = load(folder)
     enlarge(folder, TIMES)
     scene = load(folder)
-    assert scene.assumed["lens"] == f"{model}: distortion removed, bilinear"
+    assert scene.assumed["lens"] == f"{model}: distortion removed, bilinear" and scene.views[0].is_undistorted
     for a, b in zip(scene.views, whole.views, strict=True):
         assert abs(a.camera.width - b.camera.width) <= 1 and abs(a.camera.height - b.camera.height) <= 1
         spans = scene.temperature.max - scene.temperature.min, whole.temperature.max - whole.temperature.min
