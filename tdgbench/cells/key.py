@@ -92,10 +92,9 @@ def why_differs(old: Record, new: Record) -> list[str]:
     changes = [f"{name}: {a} → {b}" for name, (a, b) in sorted(differences(texts, "nothing").items())]
     if old.failure is not None and not old.code:  # it ended before its files and code were known
         return (changes if old.config else []) or [f"what failed in {old.failure.phase}"]
-    (scene, _, others), (new_scene, _, new_others) = old.data.partition("-"), new.data.partition("-")
-    if scene != new_scene:
+    if old.scene_files != new.scene_files:
         changes.append("the scene's files changed")
-    if others != new_others:
+    if old.data.removeprefix(old.scene_files) != new.data.removeprefix(new.scene_files):
         changes.append("the files of its renders, model or prior changed")
     if old.code != new.code:
         changes.append("the code changed")

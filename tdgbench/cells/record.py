@@ -107,10 +107,10 @@ class Record:
     group: str = ""
     status: Status = "ok"
     key: Key = ""
-    data: str = ""  # fingerprint of the scene's files
+    data: str = ""  # `scene_files`, and the fingerprint of files of its renders, model or prior behind a `-`
     code: str = ""  # fingerprint of the sources that the result depends on
     split: str = ""
-    protocol: str = ""  # of its scores; empty in records made before protocols had numbers
+    protocol: str = ""  # `protocol_number`-hash of options; empty in records made before protocols had numbers
     convention: str = ""
     iterations: Count = 0
     resumed: list[Positive] = field(default_factory=list)  # iterations of the checkpoints used
@@ -175,6 +175,16 @@ class Record:
         skips, channels = self.setting("skip"), self.setting("dataset.options.channels")
         skips = skips if isinstance(skips, dict) else {}
         return self.channels == 3 and channels != 3 and skips.get("gray", skips.get("otherwise", True)) is not False
+
+    @property
+    def scene_files(self) -> str:
+        """Fingerprint of the scene's files."""
+        return self.data.partition("-")[0]
+
+    @property
+    def protocol_number(self) -> str:
+        """Version of the protocol, without the hash of its options."""
+        return self.protocol.partition("-")[0]
 
     @property
     def prior_made_from(self) -> str:

@@ -100,8 +100,8 @@ def _earlier_scores(cell: CellFolder, target: Path, new: Record) -> EarlierScore
 def _is_same(metric: Metric, old: Record, new: Record) -> bool:
     """Return whether a metric has the same value by the settings of both records."""
     before, after = (flat(record.config.get("metrics") or {}) for record in (old, new))
-    number = old.protocol.partition("-")[0]
-    return number == str(VERSION) and all(before.get(name) == after.get(name) for name in metric.options)
+    is_current = old.protocol_number == str(VERSION)
+    return is_current and all(before.get(name) == after.get(name) for name in metric.options)
 
 
 def _rows(cell: CellFolder, scorer: Scorer, earlier: EarlierScores, todo: list[Metric]) -> dict[str, Scores]:

@@ -258,8 +258,8 @@ def _traits_of(record: Record) -> dict[str, object]:
         if name in traits and traits[name] == own and chosen not in record.variant:
             traits[name] = _Own(traits[name], stated not in (None, otherwise))
     others = {
-        "protocol": record.protocol.partition("-")[0], "backend": "" if record.made_elsewhere else record.backend,
-        "scene's files": record.data.split("-")[0], "image size": record.assumed.get("size", ""),
+        "protocol": record.protocol_number, "backend": "" if record.made_elsewhere else record.backend,
+        "scene's files": record.scene_files, "image size": record.assumed.get("size", ""),
         "range, °C": " to ".join(f"{end:g}" for end in record.temperature_range or ()),
         **{name: record.environment.get(stored) for name, stored in MACHINE.items()},
     }  # fmt: skip

@@ -42,7 +42,7 @@ def key_problems(record: Record) -> Iterator[str]:
     expected = cell_key(record)
     if record.key != expected:
         yield f"{RECORD_FILE}: key is {record.key!r}, its configuration, data and code give {expected!r}"
-    protocol = protocol_of(record.config, record.protocol.partition("-")[0])
+    protocol = protocol_of(record.config, record.protocol_number)
     if record.protocol and record.protocol != protocol:
         yield f"{RECORD_FILE}: protocol is {record.protocol!r}, its settings give {protocol!r}"
 
