@@ -117,7 +117,8 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     """Yield an empty folder to fill (hidden, beside `folder`); put it in the place of `folder` at the end.
 
     An error removes the partial folder and leaves `folder` untouched. The old content goes only once the new one is in
-    its place; after a kill at any moment, `settle` leaves one of them there. The caller must hold a lock on `folder`.
+    its place; after a kill at any moment, `finish_replacement` leaves one of them there. The caller must hold a lock on
+    `folder`.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     finish_replacement(folder)

@@ -174,11 +174,11 @@ class Backend(ABC):
         return torch_losses.l1_and_dssim(image, target, weights, valid)
 
     def min_max(self, values: Tensor) -> Tensor:
-        """See `tdgbench.training.losses.min_max`."""
+        """See `torch_losses.min_max`."""
         return torch_losses.min_max(values)
 
     def inverse_expected_depth(self, depth: Tensor, transmittance: Tensor, min_alpha: float) -> Tensor:
-        """See `tdgbench.training.losses.inverse_expected_depth`."""
+        """See `torch_losses.inverse_expected_depth`."""
         return torch_losses.inverse_expected_depth(depth, transmittance, min_alpha)
 
 
