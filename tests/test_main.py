@@ -177,12 +177,15 @@ def test_version_and_hydra_s_help(tmp_path):
 
 
 def test_a_method_with_the_name_of_another_one_is_refused(tmp_path):
-    """As a copied YAML file has it: its cells would be those of the other method."""
+    """As a copied YAML file or an option has it: its cells would be those of the other method."""
     (tmp_path / "yaml" / "method").mkdir(parents=True)
     shutil.copy(ROOT / "conf" / "method" / "3dgs.yaml", tmp_path / "yaml" / "method" / "mine.yaml")
     run = command_here(tmp_path, "--config-dir", "yaml", "method=mine", "scene=facade", *QUICK)
     assert run.returncode == 1
-    assert "method.name=3dgs: is another method; set `name: mine` in mine.yaml" in run.stdout + run.stderr
+    assert run.stderr == "error: method.name=3dgs: is another method; set `name: mine` in mine.yaml\n"
+    run = command_here(tmp_path, "method=renders", "method.folder=x", "method.name=3dgs", "scene=facade", *QUICK)
+    said = "method.name=3dgs: is the name of a method of tdgbench; choose another, such as method.name=3dgs_authors"
+    assert run.returncode == 1 and run.stderr == f"error: {said}\n"
 
 
 @pytest.mark.parametrize(

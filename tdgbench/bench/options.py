@@ -97,7 +97,10 @@ def check_method_name(cfg: DictConfig, choice: str | None) -> None:
     """
     name, baseline = (OmegaConf.select(cfg, f"method.{key}") for key in ("name", "compared_with"))
     if choice not in (None, name) and name in choices("method"):
-        raise OptionError([Problem("method.name", f"is another method; set `name: {choice}` in {choice}.yaml", name)])
+        what = f"is another method; set `name: {choice}` in {choice}.yaml"
+        if choice in choices("method"):
+            what = f"is the name of a method of tdgbench; choose another, such as method.name={name}_authors"
+        raise OptionError([Problem("method.name", what, name)])
     experiment = Path(str(cfg.results)) / str(cfg.name)
     known = [*choices("method"), *(path.name for path in (experiment / "cells").glob("*"))]
     if baseline not in (None, *known):

@@ -96,8 +96,9 @@ def main(arguments: list[str]) -> int:
             for sentence in (verified.of_data, *verified.equal):
                 say(one_line(sentence), "data:")
         if verified.foreign:
-            of = f"that of {', '.join(verified.foreign)} was not run, as it is none of tdgbench's"
-            say(one_line(f"{of}; checked are the stored Gaussians, renders and scores, not what trained them"), "code:")
+            again = "are made again from the stored Gaussians, which takes none of its code"
+            of = ", ".join(verified.foreign)
+            say(one_line(f"renders of {of} {again}; what trained them is not checked"), "code:")
         for name in sorted({*options.trust} - verified.named):
             say(one_line(f"no cell has --trust {name}, so it was not run{meant(name, verified.named)}"), "code:")
         status |= bool(verified.problems) or not verified.finished

@@ -21,7 +21,7 @@ from tdgbench.bench.failures import error_message
 from tdgbench.bench.options import check_method_name
 from tdgbench.bench.progress import CellProgress, Outcome
 from tdgbench.bench.run_cell import run_cell
-from tdgbench.cells.plan import Jobs, number_of_jobs, plan_of_job, read_plan
+from tdgbench.cells.plan import Jobs, number_of_jobs, plan_of_job, read_plan, swept
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.sweep.plan import finished_outcomes, plan_before, plan_sweep
 from tdgbench.files import content_of, write_text
@@ -39,6 +39,8 @@ class Sweep(Experiment):
 
     def start(self, cfg: DictConfig) -> None:
         """Write the plan, and end the run here if no job has anything to do."""
+        if "method" not in swept(cfg):
+            check_method_name(cfg, cfg.hydra.runtime.choices.get("method"))
         jobs = Jobs(cfg)
         plan, cells, without_data = plan_sweep(cfg, jobs)
         folder, outcomes = Path(cfg.results) / cfg.name, finished_outcomes(cfg, jobs, plan)
