@@ -82,6 +82,19 @@ SCENES = tuple(
 )
 
 
+BUILT_IN, BUILT_IN_DEGC = "synthetic", "synthetic_degC"  # titles of the generated scenes' data sets
+DRIFTING = "_drifting"  # ends the title of a data set with the errors of a thermal camera added
+
+
+def is_built_in(dataset: str) -> bool:
+    """Return whether a data set, by its title, holds tdgbench's generated scenes.
+
+    >>> is_built_in("synthetic"), is_built_in("synthetic_degC_drifting"), is_built_in("synthetic_hall")
+    (True, True, False)
+    """
+    return dataset.removesuffix(DRIFTING) in (BUILT_IN, BUILT_IN_DEGC)
+
+
 def sensor_of(dataset: str, scene: str) -> dict[str, str]:
     """Return what is known of the sensor that took a scene's thermal images, for `Scene.assumed`; empty if nothing is.
 

@@ -19,6 +19,7 @@ from tdgbench.cells.read_files import MOST_PIXELS
 from tdgbench.cells.record import Record
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.datasets import outline_of
+from tdgbench.scenes.synthetic import SyntheticDataset
 from tdgbench.text import first_few
 from tdgbench.verify.problems import NotCheckedError
 
@@ -61,8 +62,9 @@ class TrueData:
 
     def _spend(self, loader: dict[str, Any]) -> None:
         """Raise NotCheckedError for a built-in scene that takes long to make, alone or after the others."""
-        sizes = [loader.get(name, default) for name, default in (("width", 160), ("height", 120), ("views", 40))]
-        points = loader.get("points", 0)
+        *sizes, points = (
+            loader.get(name, getattr(SyntheticDataset, name)) for name in ("width", "height", "views", "points")
+        )
         if not all(isinstance(size, int) and 0 < size <= MOST_MADE for size in [*sizes, points + 1]):
             raise NotCheckedError(f"a built-in scene has no such size; {NAME_IT}")
         pixels = math.prod(sizes)

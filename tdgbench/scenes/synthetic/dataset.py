@@ -24,6 +24,7 @@ from tdgbench.scenes.inputs import check_scene_name
 from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
 from tdgbench.scenes.read import Outline, outline_scene
+from tdgbench.scenes.registry import BUILT_IN, BUILT_IN_DEGC
 from tdgbench.scenes.scene import PointCloud
 from tdgbench.scenes.synthetic.capture import CameraTruth, CaptureErrors, Encoding, TrueRig, levels, limits
 from tdgbench.scenes.synthetic.render import World, local_rays, look_at, render_world
@@ -65,7 +66,7 @@ class SyntheticDataset(Outlines):
         name = next(iter(WORLDS)) if name is None else check_scene_name(name)
         if name not in WORLDS:
             raise SceneError(self.explain_missing([name]))
-        title = "synthetic_degC" if self.errors.thermal_camera.encoding == "degC" else "synthetic"
+        title = BUILT_IN_DEGC if self.errors.thermal_camera.encoding == "degC" else BUILT_IN
         return Description(name, title, WORLDS[name](self.seed).group)
 
     def outline(self, name: str | None) -> Outline:

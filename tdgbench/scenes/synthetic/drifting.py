@@ -13,6 +13,7 @@ from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scenes.options import Description
 from tdgbench.scenes.read import Outline
+from tdgbench.scenes.registry import DRIFTING
 from tdgbench.scenes.scene import Scene, TemperatureRange, View
 from tdgbench.scenes.synthetic.capture import CameraTruth, DegC, ThermalErrors, levels, limits
 
@@ -40,7 +41,7 @@ class DriftingDataset(Outlines):
 
     def describe(self, name: str | None) -> Description:
         description = self.inner.describe(name)
-        return replace(description, dataset=f"{description.dataset}_drifting", group="")
+        return replace(description, dataset=description.dataset + DRIFTING, group="")
 
     def outline(self, name: str | None) -> Outline:
         inner, title = outline_of(self.inner, name), self.describe(name).dataset

@@ -13,7 +13,7 @@ from pydantic import ConfigDict
 
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import Record, no_records
-from tdgbench.scenes.registry import DATASETS
+from tdgbench.scenes.registry import DATASETS, is_built_in
 from tdgbench.tables import methods
 from tdgbench.tables.likeness import setups
 from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages
@@ -225,7 +225,7 @@ def on_built_in(finding: Finding, cells: Iterable[Cell]) -> Finding:
 
 
 def _is_built_in(cells: Iterable[Cell]) -> bool:
-    return all(cell.record.dataset.startswith(BUILT_IN) for cell in cells)
+    return all(is_built_in(cell.record.dataset) for cell in cells)
 
 
 def _is_plain(record: Record) -> bool:

@@ -102,7 +102,7 @@ def test_built_in_scenes_decide_no_claim(tmp_path):
     assert (
         found.verdict == UNDECIDED and "made from true depth: no evidence on a paper; there it holds" in found.grounds
     )
-    found = check_claim(claim, ours(*made, *sides(tmp_path, claim, (-1.0, -1.1, -0.9))))
+    found = check_claim(claim, ours(*made, *sides(tmp_path, claim, (-1.0, -1.1, -0.9), dataset="synthetic_hall")))
     assert found.verdict == FAILS and found.grounds.endswith("left out: built-in scenes")
 
 
