@@ -24,13 +24,10 @@ from tdgbench.scenes.read import Outline
 from tdgbench.scenes.synthetic import SyntheticDataset
 from tdgbench.splats.backends.cuda import CudaBackend
 from tdgbench.splats.cpu import pool
-from tdgbench.tables import measures, methods
 from tests.helpers.cells import small_cells
 from tests.helpers.masks import masked_scene, with_garbage
 from tests.helpers.paths import SHARED, lpips_backbone
 from tests.helpers.scenes import small_dataset
-
-BUILT_IN = [(one, one.copy()) for one in (measures.MEASURES, measures.EXTRA, measures.TRAINING, methods._OWN)]
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -44,15 +41,6 @@ def ctrl_c_is_heard() -> None:
 def torch_has_one_thread() -> None:
     """As in cells. Two processes of tests with two OpenMP threads each would mostly wait for one another."""
     torch.set_num_threads(1)
-
-
-@pytest.fixture(autouse=True)
-def what_plans_teach_is_forgotten() -> Iterator[None]:
-    """Tables print methods and metrics of a plan from when it is read until the process ends."""
-    yield
-    for known, built_in in BUILT_IN:
-        known.clear()
-        known.update(built_in) if isinstance(known, dict) else known.extend(built_in)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -12,7 +12,7 @@ from tdgbench.cells.protocol import MEASURED_ON
 from tdgbench.cells.record import Record
 from tdgbench.compare.pairs import ComparedCell, Pairs, Place, place_of
 from tdgbench.scoring import METRICS
-from tdgbench.tables.measures import MEASURES
+from tdgbench.tables.measures import known_measures, measure_of
 from tdgbench.text import as_typed, one_line
 
 PROTOCOL, TRAINING, MACHINE = "protocol", "training", "machine"
@@ -52,15 +52,15 @@ class Cause(NamedTuple):
             return ()
         option = self.name.removeprefix("metrics.")
         named = [name for name, metric in METRICS.items() if self.name != option in metric.options]
-        return [one for name in named for one in (name, f"train_{name}")] or MEASURES
+        return [one for name in named for one in (name, f"train_{name}")] or known_measures()
 
     @property
     def scope(self) -> str:
         """What it decides, `LPIPS alone`, where a setting of the protocol does not decide all scores; else empty."""
         if self.name == ADDED:
             return "adds scores"
-        labels = dict.fromkeys(MEASURES[name].label for name in self.scores if name in MEASURES)
-        return f"{', '.join(labels)} alone" if self.scores and self.scores is not MEASURES else ""
+        labels = dict.fromkeys(measure_of(name).label for name in self.scores if name in known_measures())
+        return f"{', '.join(labels)} alone" if self.scores and self.scores != known_measures() else ""
 
     def sentence(self, pairs: int) -> str:
         """Return the change, which scores it decides, and in how many of the pairs it is if not in all."""

@@ -20,7 +20,8 @@ from tdgbench.packs import opened_pack
 from tdgbench.scoring import METRICS
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
-from tdgbench.tables.results import Cell, read_results
+from tdgbench.tables.columns import own_columns
+from tdgbench.tables.results import Results, read_results
 from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.terminal import console, errors_in_one_line, say
 from tdgbench.text import one_line
@@ -41,7 +42,9 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--out", type=Path, metavar="DIR", help="write compare.csv and compare.html there")
     options = parser.parse_args(arguments)
     with opened_pack(options.a) as a, opened_pack(options.b) as b:
-        return _compare(a, b, shown_paths(options.a, options.b), options.out)
+        results = _read(a), _read(b)
+        with own_columns(*(one.plan for one in results)):
+            return _compare(*results, shown_paths(options.a, options.b), options.out)
 
 
 def shown_paths(a: Path, b: Path) -> tuple[str, str]:
@@ -58,12 +61,11 @@ def shown_paths(a: Path, b: Path) -> tuple[str, str]:
     return mine, theirs
 
 
-def _compare(a: Path, b: Path, names: tuple[str, str], out: Path | None) -> int:
-    pairs = find_pairs(_cells(a), _cells(b))
+def _compare(a: Results, b: Results, names: tuple[str, str], out: Path | None) -> int:
+    pairs = find_pairs(a.finished, b.finished)
     if not len(pairs):
-        raise ValueError(
-            f"{a} and {b} share no finished cell: none has the same method, scene, initial points and seed"
-        )
+        raise ValueError(f"{a.folder} and {b.folder} share no finished cell: none has the same method, scene, initial "
+                         "points and seed")  # fmt: skip
     causes, otherwise = find_causes(pairs), assumed_differences((pair.a.record, pair.b.record) for pair in pairs)
     table = compared.score_table(pairs, causes)
     findings = [*assumed_in_words(otherwise), *findings_of(table, causes, pairs)]
@@ -83,14 +85,14 @@ def _compare(a: Path, b: Path, names: tuple[str, str], out: Path | None) -> int:
     return int(differs or table["reason"].str.startswith(TWO_PROTOCOLS).any())
 
 
-def _cells(experiment: Path) -> list[Cell]:
-    """Return the finished cells of an experiment. Raises ValueError without any."""
+def _read(experiment: Path) -> Results:
+    """Read an experiment, and say its problems. Raises ValueError without a finished cell."""
     results = read_results(experiment)
     for problem in results.problems:
         say(one_line(problem), "problem:")
     if not results.finished:
         raise ValueError(f"{experiment} holds no finished cell")
-    return results.finished
+    return results
 
 
 def assumed_in_words(differences: Sequence[AssumedDifference]) -> list[str]:

@@ -21,7 +21,7 @@ from tdgbench.tables import methods
 from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import COLUMNS as OF_TABLES
-from tdgbench.tables.measures import GAUSSIANS, HOURS, MEASURES, RecordMeasure, as_text
+from tdgbench.tables.measures import GAUSSIANS, HOURS, RecordMeasure, as_text, known_measures, measure_of
 from tdgbench.tables.palette import IMAGES, MARK, image_values, palette_notes
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED, judge_score, load_margins, seeds_interval
 from tdgbench.text import first_few, one_line
@@ -61,7 +61,7 @@ def score_table(pairs: Pairs, causes: Sequence[Cause]) -> pd.DataFrame:
         values_of_images, seeds = image_values(cell.record for pair in by_seed.values() for cell in pair), [*by_seed]
         is_repeat = not any(pair.is_one_training for pair in by_seed.values())
         is_repeat &= all(cause.kind == MACHINE or place not in cause.places for cause in causes)
-        for metric in MEASURES:
+        for metric in known_measures():
             values = np.array([_values(pair, metric) for pair in by_seed.values()])
             if np.isnan(values).all() and metric not in load_margins():
                 continue
@@ -85,7 +85,7 @@ def _why_not_compared(metric: str, place: Place, by_seed: Mapping[int, ComparedC
         some = "" if len(seeds) == len(by_seed) else f" of seed {first_few(map(str, seeds))}"
         why = next((one_line(why) for why in seeds.values() if why), "not recorded")
         return f"{'A and B have' if len(lacking) > 1 else f'{min(lacking)} has'} none{some}: {why}"
-    if isinstance(MEASURES[metric], RecordMeasure):
+    if isinstance(measure_of(metric), RecordMeasure):
         return ONE_TRAINING if any(pair.is_one_training for pair in by_seed.values()) else ""
     unlike = [cause.change for cause in causes if place in cause.places and metric in cause.scores]
     return f"{TWO_PROTOCOLS} ({'; '.join(unlike)})" if unlike else ""
@@ -123,7 +123,7 @@ def _verdict(metric: str, differences: np.ndarray, found: Difference, margin: fl
         return ""
     if np.isnan(found.low):
         return UNDECIDED
-    verdict = str(judge_score(found.low, found.high, 0.0, 0.0, margin, MEASURES[metric].higher_is_better))
+    verdict = str(judge_score(found.low, found.high, 0.0, 0.0, margin, measure_of(metric).higher_is_better))
     return EQUIVALENT if verdict == REPRODUCED else verdict
 
 
@@ -159,7 +159,7 @@ def comparison_grid(table: pd.DataFrame, said: Iterable[str] = ()) -> Grid:
     numbers = [name for name in NUMBERS if table["ci90_low" if name == "interval" else name].notna().any()]
     rows = []
     for row in table.to_dict("records"):
-        measure, place = MEASURES[row["metric"]], tuple(row[name] for name in PLACE)
+        measure, place = measure_of(row["metric"]), tuple(row[name] for name in PLACE)
         name = measure.label + (f", {measure.images}" if measure.images else "")
         scene = f"{row['scene']} {MARK}" if row[IMAGES] else row["scene"]
         shown = {**row, "method": methods.label(row["method"]), "scene": scene}
@@ -171,7 +171,7 @@ def comparison_grid(table: pd.DataFrame, said: Iterable[str] = ()) -> Grid:
     notes = palette_notes(table.drop(columns="method"))
     for reason, of_reason in table[table["verdict"] == NOT_COMPARED].groupby("reason", sort=False):
         if not any(str(reason) in sentence for sentence in said):
-            labels = dict.fromkeys(MEASURES[metric].label for metric in of_reason["metric"])
+            labels = dict.fromkeys(measure_of(metric).label for metric in of_reason["metric"])
             notes.append(f"{NOT_COMPARED}: {', '.join(labels)}: {reason}")
     return Grid([*heads, "score"], ["seeds", *(NUMBERS[name] for name in numbers), "verdict"], rows, notes)
 
@@ -195,7 +195,7 @@ def difference_as_text(metric: str, value: float) -> str:
     >>> [difference_as_text("psnr", value) for value in (-6.0, -6e-6, 0.0)], difference_as_text("gaussians", 263.7)
     (['-6.00', 'within ±0.01', '0'], '+264')
     """
-    digits = MEASURES[metric].digits
+    digits = measure_of(metric).digits
     if np.isnan(value) or value == 0:
         return "n/a" if np.isnan(value) else "0"
     if metric != HOURS.name and abs(value) < 10.0**-digits:
@@ -212,7 +212,7 @@ def interval_as_text(metric: str, low: float, high: float) -> str:
     ends = [difference_as_text(metric, end) for end in (low, high)]
     if ends[0] == ends[1]:
         return ends[0]
-    form = f"+.{MEASURES[metric].digits + 1}f"
+    form = f"+.{measure_of(metric).digits + 1}f"
     return " to ".join(f"{end:{form}}" if "±" in text else text for text, end in zip(ends, (low, high), strict=True))
 
 
@@ -224,7 +224,7 @@ def spread_as_text(metric: str, value: float) -> str:
     """
     if metric != HOURS.name and 0 < value < SMALLEST:
         return f"< {SMALLEST}"
-    is_count = not MEASURES[metric].digits or value >= 100
+    is_count = not measure_of(metric).digits or value >= 100
     return "n/a" if np.isnan(value) else as_text(metric, value, form=".0f" if is_count else "#.3g")
 
 
@@ -238,7 +238,7 @@ def verdicts(table: pd.DataFrame, pairs: Pairs) -> list[str]:
         return [f"no score is compared: {reasons[0]}"]
     places = f"({', '.join(place_heads(table))})"
     return [
-        _verdicts_of(MEASURES[str(metric)], group, pairs, places)
+        _verdicts_of(measure_of(str(metric)), group, pairs, places)
         for metric, group in judged.groupby("metric", sort=False)
     ]
 

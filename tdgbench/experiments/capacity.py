@@ -33,7 +33,7 @@ from tdgbench.experiments.matrix import (
 )
 from tdgbench.tables.claims.cell_pairs import gain_interval
 from tdgbench.tables.claims.evidence import UNDECIDED
-from tdgbench.tables.measures import MEASURES
+from tdgbench.tables.measures import measure_of
 from tdgbench.tables.palette import IMAGES
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
@@ -174,7 +174,7 @@ def _of_group(group: pd.DataFrame, there: pd.DataFrame, first: str) -> dict[str,
     equal = pairs[(pairs["had_first"] == pairs["had"]) & (not is_first)]
     pairs = equal if set(equal["scene"]) == set(there["scene"]) else equal[:0]  # an average is one of all scenes
     for metric in QUALITY:
-        sign = 1 if MEASURES[metric].higher_is_better else -1
+        sign = 1 if measure_of(metric).higher_is_better else -1
         row |= _mean(metric, group["scene"], pd.to_numeric(group[metric]))
         gains = sign * (pd.to_numeric(pairs[f"{metric}_first"]) - pd.to_numeric(pairs[metric]))
         row |= _mean(f"{metric}_gain", pairs["scene"], gains)

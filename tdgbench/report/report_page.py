@@ -20,10 +20,11 @@ from tdgbench.report.scene_section import scene_section
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
+from tdgbench.tables.columns import own_columns
 from tdgbench.tables.grids import further_grid, reasons_for_na
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import MAIN_COLUMNS, MEASURES, digits
+from tdgbench.tables.measures import MAIN_COLUMNS, digits, known_measures, measure_of
 from tdgbench.tables.palette import palette_notes
 from tdgbench.tables.readings import changes_as_text
 from tdgbench.tables.results import Cell, Results
@@ -37,6 +38,21 @@ MOST_BYTES = 2_000_000
 
 def write_report(tables: Tables) -> Path:
     """Write the page of an experiment from its files on disk; return its path. What is unusable there is n/a."""
+    with own_columns(tables.results.plan):
+        content = _content(tables)
+    for step in STEPS:
+        pages = environment("tdgbench.report")
+        pages.filters["embedded"] = partial(embedded, step=step)
+        html = pages.get_template("report_page.html.j2").render(**content, step=step)
+        if len(html.encode()) <= MOST_BYTES:
+            break
+    path = tables.results.folder / FILE
+    write_text(path, html)
+    return path
+
+
+def _content(tables: Tables) -> dict[str, Any]:
+    """Return what the page's template shows, by name."""
     results, records, main = tables.results, tables.records, tables.main
     cells = in_order(results)
     colours = line_colours(method_label(cell.record, with_init=True) for cell in cells)  # the same in all scenes
@@ -44,7 +60,7 @@ def write_report(tables: Tables) -> Path:
     for cell in cells:
         scenes.setdefault((cell.record.dataset, cell.record.scene, cell.record.split), []).append(cell)
     further = None if tables.is_ablation else further_grid(main)
-    content = {
+    return {
         "name": results.folder.resolve().name,
         "findings": tables.findings,
         "facts": run_facts(results.plan, [cell.record for cell in cells]),
@@ -65,15 +81,6 @@ def write_report(tables: Tables) -> Path:
         "failures": [(cell_title(r), r.failure.phase, r.failure.error) for r in records if r.failure is not None],
         "problems": results.problems,
     }  # fmt: skip
-    for step in STEPS:
-        pages = environment("tdgbench.report")
-        pages.filters["embedded"] = partial(embedded, step=step)
-        html = pages.get_template("report_page.html.j2").render(**content, step=step)
-        if len(html.encode()) <= MOST_BYTES:
-            break
-    path = results.folder / FILE
-    write_text(path, html)
-    return path
 
 
 def in_order(results: Results) -> list[Cell]:
@@ -135,7 +142,7 @@ def legend(tables: Tables) -> list[dict[str, str]]:
             "fits_to_test_view": getattr(described, "fits_to_test_view", "") or "nothing",
             "needs": getattr(described, "needs", ""),
         }
-        for name, described in MEASURES.items()
+        for name, described in known_measures().items()
         if name in there
     ]
 
@@ -148,7 +155,7 @@ def published_section(tables: Tables) -> dict[str, Any] | None:
     judged = comparable(tables.difference)
     known = judged[judged["difference"].notna()]
     verdicts = [
-        [MEASURES[str(metric)].title, f"{margins[str(metric)]:g}", verdicts_in_words(group)]
+        [measure_of(str(metric)).title, f"{margins[str(metric)]:g}", verdicts_in_words(group)]
         for metric, group in known.groupby("metric", sort=False)
     ]
     return {"verdicts": verdicts, **_papers(tables.papers)}
@@ -162,6 +169,6 @@ def _papers(papers: pd.DataFrame) -> dict[str, Any]:
         printed = {row.metric: [row.values, f"{row.spread:.{digits(row.metric)}f}"] for row in group.itertuples()}
         cells = [text for metric in metrics for text in printed.get(metric, ["n/a", "n/a"])]
         rows.append([dataset, LABELS.get(str(scene), scene), methods.label(str(method)), *cells])
-    titles = [title for metric in metrics for title in (MEASURES[metric].title, "spread")]
+    titles = [title for metric in metrics for title in (measure_of(metric).title, "spread")]
     notes = [note for note in dict.fromkeys(papers["note"]) if note]
     return {"heads": ["data set", "scene", "method", *titles], "rows": rows, "notes": notes}

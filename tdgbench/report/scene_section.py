@@ -22,7 +22,7 @@ from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import MEASURES
+from tdgbench.tables.measures import measure_of
 from tdgbench.tables.results import Cell
 
 
@@ -70,7 +70,7 @@ def scene_section(
         "view": view or "n/a",
         "views": len(next(iter(first.values())).views_with(RENDERS)),
         "groups": [_group(group, colours) for group in groups.values()],
-        "assumed": assumed_rows([(methods.label(cell.label), cell.record) for cell in cells]),
+        "assumed": assumed_rows([(cell.label, cell.record) for cell in cells]),
         "masked": masked_in_words(record.masked),
         "curves": curve_panels(cells, colours, problems),
         "settling": settling_panel(cells, colours),
@@ -156,7 +156,7 @@ def _pictures(one: ShownCell, near: float, far: float) -> dict[str, Any]:
         guesses = np.dstack([np.full((*known.shape, 3), GUESSED), (255 * (1 - known) + 0.5).astype(np.uint8)])
     return {
         "label": one.label,
-        "psnr": MEASURES["psnr"].as_text(one.psnr),
+        "psnr": measure_of("psnr").as_text(one.psnr),
         "render": one.pictures.render,
         "depth": None if one.depth is None else colored(one.depth, DEPTH, near, far),
         "guesses": guesses,

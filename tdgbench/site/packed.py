@@ -27,10 +27,12 @@ from tdgbench.packs.checklist import Item, checklist
 from tdgbench.packs.manifest import Manifest
 from tdgbench.present.grid import GridCell
 from tdgbench.resources import conf_folder
+from tdgbench.tables import methods
 from tdgbench.tables.build import Tables, build_tables
+from tdgbench.tables.columns import own_columns
 from tdgbench.tables.grids import SCENE_KEYS, main_grid
 from tdgbench.tables.long_table import method_label, metric_value
-from tdgbench.tables.measures import AVERAGE, COLUMNS, MEASURES, OVERALL, TRAINING, learn
+from tdgbench.tables.measures import AVERAGE, COLUMNS, OVERALL, is_of_training, measure_of, own_metrics
 from tdgbench.tables.palette import image_values
 from tdgbench.tables.results import Cell
 from tdgbench.text import as_typed, shortened
@@ -40,12 +42,15 @@ ERROR = "mae_degC"
 TRUE_DEPTH, SPARSE_POINTS = "made from true depth", "from sparse points"
 PRIORS = {"truth": TRUE_DEPTH, "points": SPARSE_POINTS}  # in words, by what they are made from
 SCORES = tuple(one for name in COLUMNS for one in ((name, ERROR) if name == "psnr" else (name,)))  # of rows and cells
-HEADS = [MEASURES[name].title for name in SCORES]
+HEADS = [measure_of(name).title for name in SCORES]
 
 
 @dataclass(frozen=True)
 class Pack:
-    """An opened pack. name: of its file. sha256: of its manifest. tables: main ones, whatever its experiment."""
+    """An opened pack. name: of its file. sha256: of its manifest. tables: main ones, whatever its experiment.
+
+    Its methods and metrics are printed as its plan says, beside packs that may say otherwise of the same names.
+    """
 
     name: str
     size: int
@@ -59,6 +64,18 @@ class Pack:
     def cells(self) -> list[Cell]:
         """The finished cells."""
         return self.tables.results.finished
+
+    @property
+    def own_metrics(self) -> list[str]:
+        """The metrics that are none of tdgbench's, of which it has a number, but for scores of training views."""
+        known = set(self.tables.main.loc[self.tables.main["value"].notna(), "metric"])
+        with own_columns(self.plan):
+            return [name for name in own_metrics() if name in known and not is_of_training(name)]
+
+    def label(self, column: str) -> str:
+        """Return a column's method as the pack prints it."""
+        with own_columns(self.plan):
+            return methods.label(column)
 
     @cached_property
     def psnr_intervals(self) -> pd.DataFrame:
@@ -106,6 +123,10 @@ class BoardRow:
     tied: tuple[str, ...] = ()
     unranked: str = "no other row to compare with"
     twin: str = ""
+
+    @property
+    def label(self) -> str:
+        return self.pack.label(self.column)
 
     @property
     def is_average(self) -> bool:
@@ -268,9 +289,10 @@ def rows_of(pack: Pack, setups: Mapping[Path, str]) -> list[BoardRow]:
     setups: of the cells of all packs, by folder.
     """
     protocols, heads = pack.tables.main.set_index(SCENE_KEYS)["protocol"].to_dict(), pack.tables.grid.columns
-    own = own_metrics(pack)
-    titles = [(MEASURES[name].title, MEASURES[name].meaning) for name in own]
-    further = main_grid(pack.tables.main.assign(bold=False), None, own).rows if own else []
+    own = pack.own_metrics
+    with own_columns(pack.plan):
+        titles = [(measure_of(name).title, measure_of(name).meaning) for name in own]
+        further = main_grid(pack.tables.main.assign(bold=False), None, own).rows if own else []
     of_place = {row.place: row.cells for row in further}
     scenes = {cell.dataset_and_scene for cell in pack.cells}
     in_dataset = Counter(dataset for dataset, _ in scenes)
@@ -288,13 +310,6 @@ def rows_of(pack: Pack, setups: Mapping[Path, str]) -> list[BoardRow]:
                          column, cells, scores, dict(zip(titles, of_place.get(row.place, ()), strict=True)), found)
             )  # fmt: skip
     return rows
-
-
-def own_metrics(pack: Pack) -> list[str]:
-    """Return the metrics of a pack that are none of tdgbench's; from now on, they are printed as this pack says."""
-    learn(pack.plan.own_metrics)
-    known = set(pack.tables.main.loc[pack.tables.main["value"].notna(), "metric"])
-    return [name for name in pack.plan.own_metrics if name in known and name not in (*SCORES, *TRAINING)]
 
 
 def _is_behind(cell: Cell, dataset: str, scene: str, column: str) -> bool:

@@ -13,7 +13,6 @@ from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 from tdgbench.present.figures import as_svg, plain
 from tdgbench.site.packed import SCORES, BoardRow
 from tdgbench.site.ranking import is_unlike
-from tdgbench.tables import methods
 from tdgbench.tables.measures import HOURS
 from tdgbench.text import duration, shortened
 
@@ -37,7 +36,7 @@ def plots(rows: Sequence[BoardRow]) -> list[tuple[str, str]]:
     columns = Counter(row.column for row in rows if not row.twin)
     where = rows[0].scene if len(rows[0].scenes) == 1 else f"the mean of {', '.join(rows[0].scenes)}"
     return [
-        (plot([(methods.label(row.column), row.pack.name if columns[row.column] > 1 else "") for row in group],
+        (plot([(row.label, row.pack.name if columns[row.column] > 1 else "") for row in group],
               *np.array([[row.scores[TIME].value * 3600, row.scores[PSNR].value, *row.psnr_interval]
                          for row in group]).T),
          f"{where}, on one machine ({cpu if gpu == 'None' else gpu}, threads: {threads}, cells at once: "

@@ -10,7 +10,6 @@ import numpy as np
 
 from tdgbench.cells.key import differences
 from tdgbench.site.packed import SCORES, BoardRow
-from tdgbench.tables import methods
 from tdgbench.tables.comparisons import EQUAL, FEWEST_SEEDS, best_or_tied, change_over_seeds
 from tdgbench.tables.measures import HOURS
 from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE
@@ -65,7 +64,7 @@ def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:
     numbers = _by_seed(METRIC, [rivals[i] for i in able])
     marks = np.array([_bold(metric, [rivals[i] for i in able]) for metric in SCORES])
     several = len({row.pack.page for row in rivals}) > 1
-    names = [methods.label(rivals[i].column) + f" ({rivals[i].pack.name})" * several for i in able]
+    names = [rivals[i].label + f" ({rivals[i].pack.name})" * several for i in able]
     for nth, i in enumerate(able):
         verdicts = [change_over_seeds(METRIC, other, numbers[nth]).verdict for other in np.delete(numbers, nth, axis=0)]
         others = [name for other, name in enumerate(names) if other != nth]

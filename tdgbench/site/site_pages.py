@@ -33,7 +33,6 @@ from tdgbench.site.packed import (
     joined,
     method_page,
     opened_packs,
-    own_metrics,
     rows_of,
     scene_page,
     training_in_words,
@@ -45,12 +44,13 @@ from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows, doubts_of
 from tdgbench.tables.claims import judge_claims, load_claims
 from tdgbench.tables.claims.evidence import BUILT_IN, JudgedClaim, evidence_of
+from tdgbench.tables.columns import own_columns
 from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
 from tdgbench.tables.grids import SCENE_KEYS, reasons_for_na
 from tdgbench.tables.likeness import setups
 from tdgbench.tables.long_table import method_label, metric_value
-from tdgbench.tables.measures import MEASURES, as_text
+from tdgbench.tables.measures import as_text, measure_of
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
 from tdgbench.tables.results import Cell
 from tdgbench.terminal import errors_in_one_line, say
@@ -110,12 +110,11 @@ class _Site:
         self.environment.globals.update(
             site_title=title,
             heads=HEADS,
-            label=methods.label,
             scene_page=scene_page,
             method_page=method_page,
             shown=SHOWN,
             mark=MARK,
-            psnr=MEASURES["psnr"],
+            psnr=measure_of("psnr"),
             nothing=GridCell(),
         )
 
@@ -137,18 +136,20 @@ class _Site:
         for name in names:
             rows = [row for row in self.rows if row.method == name]
             files[method_page(name)] = self._page(
-                "method.html.j2", "../", name=name, is_known=file_of(name) is not None, claims=claims[name],
-                reading=reading_of(name, self.packs), boards=boards_of(rows),
+                "method.html.j2", "../", name=name, label=joined(row.pack.label(name) for row in rows),
+                is_known=file_of(name) is not None, claims=claims[name], reading=reading_of(name, self.packs),
+                boards=boards_of(rows),
             )  # fmt: skip
         for pack in self.packs:
-            shown = (*SCORES, *own_metrics(pack))
-            files[pack.page] = self._page(
-                "pack.html.j2", "../", pack=pack, environments=environments(pack.tables.records),
-                notes=_notes(pack.cells), doubts=doubts_of(cell.record for cell in pack.cells),
-                cells=cell_rows(pack.tables.records, shown), titles=[MEASURES[name].title for name in shown],
-                reasons=reasons_for_na(pack.tables.main, shown),
-                boards=boards_of([row for row in self.rows if row.pack is pack]),
-            )  # fmt: skip
+            shown = (*SCORES, *pack.own_metrics)
+            with own_columns(pack.plan):
+                files[pack.page] = self._page(
+                    "pack.html.j2", "../", pack=pack, environments=environments(pack.tables.records),
+                    notes=_notes(pack.cells), doubts=doubts_of(cell.record for cell in pack.cells),
+                    cells=cell_rows(pack.tables.records, shown), titles=[measure_of(name).title for name in shown],
+                    reasons=reasons_for_na(pack.tables.main, shown),
+                    boards=boards_of([row for row in self.rows if row.pack is pack]),
+                )  # fmt: skip
         return files
 
     def _legend(self) -> list[dict[str, str]]:
@@ -161,8 +162,11 @@ class _Site:
         sections = cards_of(self.packs, dataset, scene)
         files = files_of_cards([card for section in sections for card in section])
         rows = [row for row in self.rows if (row.dataset, row.scene) == (dataset, scene)]
-        cells = [(f"{pack.name}, {cell.label}", cell.record) for pack in self.packs for cell in pack.cells
-                 if cell.dataset_and_scene == (dataset, scene)]  # fmt: skip
+        cells = []
+        for pack in self.packs:
+            with own_columns(pack.plan):
+                cells += [(f"{pack.name}, {cell.label}", cell.record) for cell in pack.cells
+                          if cell.dataset_and_scene == (dataset, scene)]  # fmt: skip
         page = self._page("scene.html.j2", "../../", dataset=dataset, scene=scene, sections=sections,
                           assumed=assumed_rows(cells), doubts=doubts_of(record for _, record in cells),
                           boards=boards_of(rows), equal=equal_data(self.packs).get((dataset, scene)))  # fmt: skip
@@ -200,7 +204,7 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
             "settings": {name: json.dumps(value) for name, value in group[0].settings.items()},
             "shown": [i for i, name in enumerate(SCORES)
                       if name != ERROR or any(not isnan(row.scores[i].value) for row in group)],
-            "behind": [[methods.label(row.column), row.pack.name, row.scene, head, cell.title] for row in group
+            "behind": [[row.label, row.pack.name, row.scene, head, cell.title] for row in group
                        for head, cell in zip(HEADS, row.scores, strict=True) if cell.note],
             "facts": [name for name in facts if any(row.facts[name] != "n/a" for row in group)],
             "plots": plots([row for row in group if row.scenes == widest] if averages else group),
@@ -218,7 +222,7 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
 def _caveats(rows: Sequence[BoardRow]) -> list[str]:
     """Return what the scores of a leaderboard are no evidence of, and what depth priors are given."""
     of_truth, of_points = (
-        ", ".join(dict.fromkeys(methods.label(row.method) for row in rows if source in row.prior))
+        ", ".join(dict.fromkeys(row.pack.label(row.method) for row in rows if source in row.prior))
         for source in (TRUE_DEPTH, SPARSE_POINTS)
     )
     given = f", and the depth prior of {of_truth} is made from their true depth" if of_truth else ""
@@ -234,7 +238,8 @@ def _reasons(rows: Sequence[BoardRow]) -> list[str]:
         of_pack = [row for row in rows if row.pack.page == pack]
         main = of_pack[0].pack.tables.main.set_index(SCENE_KEYS, drop=False)
         places = [(row.dataset, row.scene, row.column) for row in of_pack]
-        found |= dict.fromkeys(reasons_for_na(main[main.index.isin(places)].reset_index(drop=True), SCORES))
+        with own_columns(of_pack[0].pack.plan):
+            found |= dict.fromkeys(reasons_for_na(main[main.index.isin(places)].reset_index(drop=True), SCORES))
     return list(found)
 
 

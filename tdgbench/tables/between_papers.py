@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.tables.long_table import with_averages
-from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, MEASURES, OVERALL, digits, gain
+from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL, digits, gain, measure_of
 from tdgbench.tables.methods import paper_pair
 from tdgbench.tables.published import PAPER, load_sources, published_elsewhere, published_main
 
@@ -83,11 +83,11 @@ def gain_against_spread(main: pd.DataFrame, metrics: list[str]) -> str:
         shared = group[group["scene"] == SHARED].iloc[0]
         mean = gains.reindex(places).mean()
         numbers = (gains[OVERALL], mean, shared.spread)
-        total, there, spread = (f"{value:.{digits(metric, OVERALL)}f}{MEASURES[metric].suffix}" for value in numbers)
+        total, there, spread = (f"{value:.{digits(metric, OVERALL)}f}{measure_of(metric).suffix}" for value in numbers)
         compared = "larger than" if mean > shared.spread else "smaller than"
         sentences.append(
-            f"the gain in {MEASURES[metric].label} is {total}; over the {shared.scenes} scenes that papers share it is "
-            f"{there}, {'equal to' if np.isclose(mean, shared.spread) else compared} the {spread} between papers"
+            f"the gain in {measure_of(metric).label} is {total}; over the {shared.scenes} scenes that papers share it "
+            f"is {there}, {'equal to' if np.isclose(mean, shared.spread) else compared} the {spread} between papers"
         )
     return "; ".join(sentences)
 

@@ -18,9 +18,9 @@ from tdgbench.cells.record import Record
 from tdgbench.files import write_text
 from tdgbench.present.grid import Grid
 from tdgbench.scenes.registry import DATASETS
-from tdgbench.tables import measures, methods
 from tdgbench.tables.as_csv import to_csv
 from tdgbench.tables.between_papers import against_others, between_papers
+from tdgbench.tables.columns import own_columns
 from tdgbench.tables.comparisons import MethodComparison, compare_methods, comparison_tables, with_bold
 from tdgbench.tables.equal_data import equal_scenes
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
@@ -28,7 +28,7 @@ from tdgbench.tables.grids import ABLATION_KEYS, ablation_grid, main_grid
 from tdgbench.tables.latex import ablation_table, main_table
 from tdgbench.tables.likeness import Trainings, selected_notes, times_at_once
 from tdgbench.tables.long_table import cell_rows, method_label, scene_rows, with_averages, with_protocols
-from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, EXTRA, KEYS, OVERALL
+from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, KEYS, OVERALL, further
 from tdgbench.tables.palette import IMAGES, with_image_values
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
@@ -92,16 +92,18 @@ class Tables:
     @cached_property
     def grid(self) -> Grid:
         """The main table as readers see it."""
-        if self.is_ablation:
-            return ablation_grid(self.main, self.difference, self.notes)
-        return main_grid(self.main, self.difference, self.columns, self.notes)
+        with own_columns(self.results.plan):
+            if self.is_ablation:
+                return ablation_grid(self.main, self.difference, self.notes)
+            return main_grid(self.main, self.difference, self.columns, self.notes)
 
     @property
     def latex(self) -> str:
         records = [one.record for one in self.results.finished]
-        if self.is_ablation:
-            return ablation_table(self.main, self.grid, records)
-        return main_table(self.main, self.grid, self.columns, records)
+        with own_columns(self.results.plan):
+            if self.is_ablation:
+                return ablation_table(self.main, self.grid, records)
+            return main_table(self.main, self.grid, self.columns, records)
 
 
 def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:
@@ -110,15 +112,14 @@ def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:
     A record that cannot be read gives n/a with the reason, and is one of the results' `problems`; so is a mean of
     unlike trainings. Raises ValueError for an empty folder, naming it, and for columns that no table has.
     """
-    measures.forget_own()  # of the folder that was read before
-    methods.forget_own()
-    results = read_results(experiment)  # whose own metrics are columns, too
-    known = *COLUMNS, *EXTRA, *ASKED
-    unknown = [name for name in options.columns if name not in known]
-    if unknown:
-        raise ValueError(f"no column {', '.join(unknown)}; known are {', '.join(known)}")
-    tables = _ablation(results, options) if results.plan.table == "ablation" else _main(results, options)
-    _write(tables)
+    results = read_results(experiment)
+    with own_columns(results.plan):
+        known = *COLUMNS, *further(), *ASKED
+        unknown = [name for name in options.columns if name not in known]
+        if unknown:
+            raise ValueError(f"no column {', '.join(unknown)}; known are {', '.join(known)}")
+        tables = _ablation(results, options) if results.plan.table == "ablation" else _main(results, options)
+        _write(tables)
     return tables
 
 

@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
+from tdgbench.scenes.inputs import ROWS_OF_AVERAGES
 from tdgbench.tables import methods
 from tdgbench.tables.equal_data import Place
 from tdgbench.tables.long_table import method_label
-from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, MAIN_COLUMNS, MEASURES, OVERALL, TRAINING, gain, half_unit
+from tdgbench.tables.measures import HOURS, KEYS, MAIN_COLUMNS, gain, half_unit, is_of_training, measure_of
 from tdgbench.tables.methods import MethodPair
 from tdgbench.tables.palette import IMAGES, values_over_scenes
 from tdgbench.tables.results import Cell
@@ -31,7 +32,7 @@ FEWEST_SCENES = 5  # of a test over scenes: with fewer, no outcome could be belo
 
 def margins_in_words() -> str:
     """Return the differences of scores that count as equal, as `margins.yaml` has them."""
-    known = [(MEASURES[name], margin) for name, margin in load_margins().items()]
+    known = [(measure_of(name), margin) for name, margin in load_margins().items()]
     return ", ".join(f"{one.label} {margin:g}{one.suffix}" for one, margin in known)
 
 
@@ -72,7 +73,7 @@ class MethodComparison(NamedTuple):
 
 def margin_of(metric: str) -> float:
     """Return the difference up to which two scores count as equal: of published ones, else print's; of ratios 0."""
-    return 0.0 if MEASURES[metric].ratio else load_margins().get(metric, half_unit(metric))
+    return 0.0 if measure_of(metric).ratio else load_margins().get(metric, half_unit(metric))
 
 
 def change_over_seeds(metric: str, new: np.ndarray, old: np.ndarray) -> Change:
@@ -83,7 +84,7 @@ def change_over_seeds(metric: str, new: np.ndarray, old: np.ndarray) -> Change:
     >>> change_over_seeds("psnr", np.array([21.0]), np.array([20.0])).verdict
     'undecided'
     """
-    ratio = MEASURES[metric].ratio
+    ratio = measure_of(metric).ratio
     with np.errstate(invalid="ignore", divide="ignore"):
         values = np.log(new / old) if ratio else new - old
     both = np.isfinite(values)
@@ -110,7 +111,7 @@ def best_or_tied(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.nda
     """
     known = np.flatnonzero(~np.isnan(values))
     marks = np.zeros(len(values), dtype=bool)
-    if len(known) < 2 or not MEASURES[metric].has_better_side:
+    if len(known) < 2 or not measure_of(metric).has_better_side:
         return marks
     best = max(known, key=lambda i: gain(metric, values[i], 0.0))
     changes = {i: change_over_seeds(metric, by_seed[i], by_seed[best]) for i in known if i != best}
@@ -141,7 +142,7 @@ def compare_methods(
     not count. Nor do those of unlike trainings (column `training` of main), nor times of two machines, seed by seed.
     """
     once = [place not in equal for place in zip(cells["dataset"], cells["scene"], strict=True)]
-    sided = [name for name, measure in MEASURES.items() if measure.has_better_side and name not in TRAINING]
+    sided = [name for name in cells["metric"].unique() if measure_of(name).has_better_side and not is_of_training(name)]
     counted = cells[np.array(once, dtype=bool) & cells["metric"].isin(sided)]
     scored = main.loc[main["metric"].isin(MAIN_COLUMNS) & main["value"].notna(), "method"].unique()
     # a baseline without scores is compared with only where no pair has them, to say why
@@ -181,7 +182,7 @@ def _why_none(
         return "unlike trainings"
     if metric == HOURS.name and any(found[:2] == (dataset, scene) for found in unlike):
         return "times of two machines"
-    return "no seed in common" if scene not in (AVERAGE, OVERALL) else "no seed in common that every scene has"
+    return "no seed in common" if scene not in ROWS_OF_AVERAGES else "no seed in common that every scene has"
 
 
 def _unlike(pair: MethodPair, main: pd.DataFrame, finished: Sequence[Cell]) -> set[tuple[object, ...]]:
@@ -205,11 +206,11 @@ def paired_tests(changes: pd.DataFrame, main: pd.DataFrame) -> pd.DataFrame:
     method is better, of the changes' means; NaN below FEWEST_SCENES.
     """
     rows = []
-    for metric, group in changes[~changes["scene"].isin((AVERAGE, OVERALL))].groupby("metric", sort=False):
+    for metric, group in changes[~changes["scene"].isin(ROWS_OF_AVERAGES)].groupby("metric", sort=False):
         known, p = group.dropna(subset="change"), float("nan")
         if known.empty:
             continue
-        gains = gain(str(metric), np.log(known["change"]) if MEASURES[str(metric)].ratio else known["change"], 0.0)
+        gains = gain(str(metric), np.log(known["change"]) if measure_of(str(metric)).ratio else known["change"], 0.0)
         if len(known) >= FEWEST_SCENES and (gains != 0).any():
             from scipy.stats import wilcoxon  # takes half a second to import, and most runs do without
 

@@ -25,10 +25,10 @@ from tdgbench.tables.measures import (
     HOURS,
     MAIN_COLUMNS,
     MAIN_SCORES,
-    MEASURES,
     OVERALL,
     as_text,
     digits,
+    measure_of,
 )
 from tdgbench.tables.published import published_main
 from tdgbench.tables.readings import change_as_text, widest_average, with_setup
@@ -203,13 +203,13 @@ def _counts(paired: pd.DataFrame) -> str:
     parts = []
     for row in paired[paired["metric"].isin(MAIN_COLUMNS)].itertuples():
         words = [f"{word} on {n}" for word in COUNTED if (n := getattr(row, word))]
-        parts += [f"{MEASURES[row.metric].label} {', '.join(words)}{_p(row.p)}"] if words else []
+        parts += [f"{measure_of(row.metric).label} {', '.join(words)}{_p(row.p)}"] if words else []
     return "; ".join(parts)
 
 
 def _change(row: Any) -> str:
     """Return both values, the change and, where it has an interval, its verdict. row: of a comparison's changes."""
-    measure, values = MEASURES[row.metric], (as_text(row.metric, value, row.scene) for value in (row.new, row.old))
+    measure, values = measure_of(row.metric), (as_text(row.metric, value, row.scene) for value in (row.new, row.old))
     form = ".2f" if measure.ratio else f"+.{digits(row.metric, row.scene)}f"
     change = f"× {row.change:{form}}" if measure.ratio else f"{row.change:{form}}{measure.suffix}"
     text = f"{measure.label} {' against '.join(values)}, "
@@ -260,7 +260,7 @@ def _alone(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     """Yield the scores of each method, where nothing is compared."""
     for column, rows in main.groupby("method", sort=False):
         known = widest_average(rows[rows["metric"].isin(MAIN_COLUMNS)]).dropna(subset="value")
-        parts = [f"{MEASURES[r.metric].label} {as_text(r.metric, r.value, r.scene)}" for r in known.itertuples()]
+        parts = [f"{measure_of(r.metric).label} {as_text(r.metric, r.value, r.scene)}" for r in known.itertuples()]
         scenes = list(dict.fromkeys(rows.loc[~_is_average(rows), "scene"]))
         where = scenes[0] if len(scenes) == 1 else f"average over {len(scenes)} scenes"
         if parts:
@@ -279,7 +279,7 @@ def _ablation(main: pd.DataFrame) -> Iterable[str]:
                 texts = (
                     f"{as_text(metric, r.value, OVERALL)} with {r.init}{best * r.bold}" for r in values.itertuples()
                 )
-                parts.append(f"{MEASURES[metric].label} {', '.join(texts)}")
+                parts.append(f"{measure_of(metric).label} {', '.join(texts)}")
         parts += ["one seed decides nothing"] * bool(parts and group["seeds"].max() == 1)
         yield f"{methods.label(str(method))}: {'; '.join(parts) or 'n/a: ' + _why_not(group, 'scenes lack results')}"
 
@@ -289,7 +289,7 @@ def _effects(effects: pd.DataFrame) -> Iterable[str]:
     metric = MAIN_SCORES[0]
     rows = with_setup(widest_average(effects), "effect")
     rows = rows[rows["metric"] == metric]
-    label = MEASURES[metric].change
+    label = measure_of(metric).change
     for words, chosen in (
         (f"{label}, rises with", rows["ci95_low"] > 0),
         (f"{label}, falls with", rows["ci95_high"] < 0),

@@ -18,13 +18,13 @@ from tdgbench.tables.measures import (
     ABLATION,
     AVERAGE,
     COLUMNS,
-    EXTRA,
     HOURS,
     MAIN_COLUMNS,
-    MEASURES,
     OVERALL,
     as_text,
     digits,
+    further,
+    measure_of,
 )
 from tdgbench.tables.palette import is_marked, palette_notes, with_mark
 from tdgbench.tables.verdicts import UNDECIDED
@@ -59,7 +59,7 @@ def main_grid(
             rows.append(GridRow(heads, cells, place, str(group["group"].iloc[0]), is_marked(group)))
     times = [TIMES] * bool(HOURS.name in metrics and main["value"][main["metric"] == HOURS.name].notna().any())
     lines = [*protocol_notes(main), *_number_notes(main), *times, *palette_notes(main), *notes]
-    titles = [RANGE_TITLE if metric == RANGE else MEASURES[metric].title for metric in metrics]
+    titles = [RANGE_TITLE if metric == RANGE else measure_of(metric).title for metric in metrics]
     return Grid(["data set", "scene", "method"], titles, rows, lines, metrics)
 
 
@@ -76,7 +76,7 @@ def _number_notes(main: pd.DataFrame) -> list[str]:
 def further_grid(main: pd.DataFrame) -> Grid | None:
     """Return the other measures that a cell of a main table has, in the same form; None without any."""
     known = set(main.loc[main["value"].notna(), "metric"])
-    metrics = [metric for metric in EXTRA if metric in known]
+    metrics = [metric for metric in further() if metric in known]
     if not metrics:
         return None
     spread = [SPREAD] * bool(main.loc[main["metric"].isin(metrics), "std"].notna().any())
@@ -91,7 +91,7 @@ def ablation_grid(main: pd.DataFrame, difference: pd.DataFrame | None, notes: Se
         heads = (with_mark(methods.label(place[0]), group), place[1])
         rows.append(GridRow(heads, _cells(group, place, ABLATION, published), place, "", is_marked(group)))
     lines = [*initial_points(main), *_number_notes(main), *palette_notes(main), *notes]
-    return Grid(["method", "initial points"], [MEASURES[metric].title for metric in ABLATION], rows, lines, ABLATION)
+    return Grid(["method", "initial points"], [measure_of(metric).title for metric in ABLATION], rows, lines, ABLATION)
 
 
 def reasons_for_na(main: pd.DataFrame, metrics: Sequence[str]) -> list[str]:
@@ -107,7 +107,7 @@ def reasons_for_na(main: pd.DataFrame, metrics: Sequence[str]) -> list[str]:
             who.setdefault(where, []).append(methods.label(str(method)))
         listed = "; ".join(named(them) + where for where, them in who.items())
         names = "all rows" if len(group) == rows_of[:, metric].sum() else listed
-        found.setdefault((names, str(reason)), []).append(MEASURES[str(metric)].title.rstrip(" ↑↓"))
+        found.setdefault((names, str(reason)), []).append(measure_of(str(metric)).title.rstrip(" ↑↓"))
     lines = [f"n/a: {'; '.join(titles)} ({names}): {reason}" for (names, reason), titles in found.items()]
     absent = set(missing.loc[missing["reason"] == NO_RECORD, "dataset"]) if "dataset" in missing else set()
     gets = [f"`tdgbench data get {key} data`" for key, title in DATASETS.items() if title in absent]

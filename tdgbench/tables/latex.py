@@ -21,7 +21,7 @@ from tdgbench.tables.findings import given_priors
 from tdgbench.tables.grids import ERROR, reasons_for_na
 from tdgbench.tables.likeness import RANK_UNLIKE
 from tdgbench.tables.long_table import RANGE, initial_points, method_label, planned_iterations, protocol_notes
-from tdgbench.tables.measures import ABLATION, ABLATION_PAIRS, AVERAGE, HOURS, MAIN_COLUMNS, MEASURES, OVERALL, digits
+from tdgbench.tables.measures import ABLATION, ABLATION_PAIRS, AVERAGE, HOURS, MAIN_COLUMNS, OVERALL, digits, measure_of
 from tdgbench.tables.palette import MARK
 from tdgbench.text import named, one_line
 
@@ -149,7 +149,7 @@ def ablation_table(main: pd.DataFrame, grid: Grid, records: Sequence[Record] = (
     Several kinds of random points are named. grid: `ablation_grid` of the ablation. records: of the finished cells.
     """
     several = sum(init.startswith("random") for init in {row.place[1] for row in grid.rows}) > 1
-    parts = " & ".join(MEASURES[psnr].images or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)
+    parts = " & ".join(measure_of(psnr).images or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)
     lines = []
     for method, rows in groupby(grid.rows, key=lambda row: row.place[0]):
         lines.append(r"\midrule")
@@ -172,7 +172,7 @@ def _heads(labels: Sequence[str], measures: Sequence[str], unit: TimeUnit) -> li
     count = len(measures)
     titles = [rf"\multicolumn{{{count}}}{{c}}{{{escape(methods.label(m))}}}" for m in labels]
     rules = [rf"\cmidrule(lr){{{2 + i * count}-{1 + (i + 1) * count}}}" for i in range(len(labels))]
-    names = [rf"Time [{unit.name}] $\downarrow$" if name == HOURS.name else _title(MEASURES[name]) for name in measures]
+    names = [rf"Time [{unit.name}] $\downarrow$" if m == HOURS.name else _title(measure_of(m)) for m in measures]
     return [f"Scene & {' & '.join(titles)} \\\\", "".join(rules), f" & {' & '.join(names * len(labels))} \\\\"]
 
 

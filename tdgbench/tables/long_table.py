@@ -13,7 +13,7 @@ from tdgbench.cells.record import Record
 from tdgbench.scenes import Description
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.tables import methods
-from tdgbench.tables.measures import AVERAGE, COLUMNS, EXTRA, KEYS, MEASURES, OVERALL, TRAINING, RecordMeasure
+from tdgbench.tables.measures import AVERAGE, COLUMNS, KEYS, OVERALL, RecordMeasure, further, is_of_training, measure_of
 from tdgbench.tables.palette import with_text_of_cells
 
 SPLITS = {
@@ -41,11 +41,11 @@ def metric_value(record: Record, metric: str) -> tuple[float, str]:
     """Return the value (NaN for n/a), and the reason for n/a."""
     if record.failure is not None:
         return np.nan, record.why_failed
-    described = MEASURES[metric]
+    described = measure_of(metric)
     if isinstance(described, RecordMeasure):
         number = described.of_record(record)
         return number, record.missing.get(metric, "not recorded" if np.isnan(number) else "")
-    if metric in TRAINING:
+    if is_of_training(metric):
         value = record.train_scores.get(metric.removeprefix("train_"))
     else:
         value = record.scores.get(metric)
@@ -78,7 +78,7 @@ def cell_rows(
     for method in sorted({*labels, *without_records}, key=methods.rank):
         for scene in scenes:
             found = by_place.get((method, scene.dataset, scene.scene), [])
-            for metric in (*COLUMNS, *EXTRA, *asked):
+            for metric in (*COLUMNS, *further(), *asked):
                 key = [method, scene.dataset, scene.group, scene.scene, metric]
                 numbers = [[r.seed, *metric_value(r, metric)] for r in found] or [[np.nan, np.nan, NO_RECORD]]
                 rows += [[*key, *number] for number in numbers]

@@ -5,9 +5,9 @@ And the names that all tables share: their key columns, and the rows of averages
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from math import inf, isinf, nan
+from math import isinf, nan
 from typing import Any
 
 from tdgbench.cells.plan import MetricEntry, checked
@@ -17,6 +17,7 @@ from tdgbench.scenes.modalities import OTHERS
 from tdgbench.scoring import METRICS, TRAIN_METRICS
 from tdgbench.scoring.metric import Measure, metric_name
 from tdgbench.scoring.registry import extra_metrics, on_training_views
+from tdgbench.tables.columns import own
 from tdgbench.text import duration
 
 KEYS = ["method", "dataset", "group", "scene", "metric"]
@@ -49,17 +50,14 @@ MEMORY = RecordMeasure(
 )  # fmt: skip
 OF_RECORDS = (HOURS, GAUSSIANS, PARAMETERS, MEMORY)  # those that are `in_main_table` are columns of the main table
 _TRAIN = [metric.of_training_views() for metric in TRAIN_METRICS.values()]
-MEASURES: dict[str, Measure] = {m.name: m for m in (*METRICS.values(), HOURS, *_TRAIN, *OF_RECORDS)}
-
-_BUILT_IN = frozenset(MEASURES)  # `learn` adds those of users
+_BUILT_IN: dict[str, Measure] = {m.name: m for m in (*METRICS.values(), HOURS, *_TRAIN, *OF_RECORDS)}
 
 MAIN_SCORES = tuple(name for name, metric in METRICS.items() if metric.in_main_table)
 MAIN_COLUMNS = (*MAIN_SCORES, *(m.name for m in OF_RECORDS if m.in_main_table))  # columns of the main table
-TRAINING = [measure.name for measure in _TRAIN]  # of the training views, where overfitting shows
 _BESIDE = {name: [other for other, metric in METRICS.items() if metric.beside == name] for name in MAIN_COLUMNS}
 COLUMNS = tuple(one for name, more in _BESIDE.items() for one in (name, *more))  # where tables are read
 ASKED = tuple(measure.name for measure in OF_RECORDS if not measure.in_main_table)  # columns where they are asked for
-EXTRA = [*(name for name in METRICS if name not in COLUMNS), *TRAINING]
+_EXTRA = [*(name for name in METRICS if name not in COLUMNS), *(measure.name for measure in _TRAIN)]
 _OF_MODELS = tuple(tuple(metric_name(name, modality) for name in ("psnr", "ssim")) for modality in OTHERS)
 ABLATION_PAIRS = (("psnr", "ssim"), ("train_psnr", "train_ssim"), *_OF_MODELS)  # columns of Table 2
 ABLATION = tuple(name for pair in ABLATION_PAIRS for name in pair)
@@ -83,24 +81,29 @@ def entries_of(extra: Iterable[str]) -> dict[str, MetricEntry]:
     return entries
 
 
-def forget_own() -> None:
-    """Print the metrics of tdgbench alone from now on."""
-    for known in (EXTRA, TRAINING):
-        known[:] = [name for name in known if name in _BUILT_IN]
-    for name in MEASURES.keys() - _BUILT_IN:
-        del MEASURES[name]
+def own_metrics() -> list[str]:
+    """Return the names of the user's metrics (`own_columns`), of which none replaces a number of tdgbench."""
+    return [name for name in own().measures if name not in _BUILT_IN]
 
 
-def learn(own_metrics: Mapping[str, MetricEntry]) -> None:
-    """Print the metrics of a plan by their entries from now on; none replaces a number of tdgbench."""
-    for name, entry in own_metrics.items():
-        if name in _BUILT_IN:
-            continue
-        low, high = entry.limits
-        limits = (-inf if low is None else low, inf if high is None else high)
-        MEASURES[name] = Measure(name=name, **entry._replace(limits=limits)._asdict())
-        for names in (EXTRA, TRAINING) if name.startswith("train_") else (EXTRA,):
-            names += [] if name in names else [name]
+def known_measures() -> dict[str, Measure]:
+    """Return every number that tables print, by name: tdgbench's, then the user's."""
+    return _BUILT_IN | {name: own().measures[name] for name in own_metrics()}
+
+
+def measure_of(name: str) -> Measure:
+    """Return the description of a number. Raises KeyError for a metric of the user outside of its `own_columns`."""
+    return _BUILT_IN[name] if name in _BUILT_IN else own().measures[name]
+
+
+def further() -> list[str]:
+    """Return the rows of main.csv that are not COLUMNS; the user's metrics come last."""
+    return [*_EXTRA, *own_metrics()]
+
+
+def is_of_training(name: str) -> bool:
+    """Return whether a number is a score of training views, where overfitting shows."""
+    return name.startswith("train_") and not isinstance(measure_of(name), RecordMeasure)
 
 
 def digits(name: str, scene: str = "") -> int:
@@ -109,7 +112,7 @@ def digits(name: str, scene: str = "") -> int:
     >>> digits("ssim"), digits("ssim", OVERALL)
     (3, 4)
     """
-    described = MEASURES[name]
+    described = measure_of(name)
     if scene == OVERALL and described.overall_digits is not None:
         return described.overall_digits
     return described.digits
@@ -146,4 +149,4 @@ def gain(name: str, new: Any, old: Any) -> Any:
     >>> gain("lpips", 0.25, 0.5)
     0.25
     """
-    return new - old if MEASURES[name].higher_is_better else old - new
+    return new - old if measure_of(name).higher_is_better else old - new

@@ -5,13 +5,14 @@ Files outside of tdgbench may be gone: plans of experiments keep what they said.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 from tdgbench.cells.plan import LAST, MethodEntry, method_entries
 from tdgbench.resources import conf_folder
+from tdgbench.tables.columns import own
 from tdgbench.tables.published import published_main
 
 PLAIN = "3dgs"  # what methods are compared with whose own baseline is not there
@@ -22,19 +23,6 @@ class MethodPair(NamedTuple):
 
     method: str
     baseline: str
-
-
-_OWN: dict[str, MethodEntry] = {}
-
-
-def forget_own() -> None:
-    """Print the methods of tdgbench alone by their entries from now on."""
-    _OWN.clear()
-
-
-def learn(own_methods: Mapping[str, MethodEntry]) -> None:
-    """Print the methods of a plan by their entries from now on; none replaces one of tdgbench."""
-    _OWN.update(own_methods)
 
 
 def entry(name: str) -> MethodEntry:
@@ -101,7 +89,7 @@ def _published_methods() -> frozenset[str]:
 
 
 def _entries() -> dict[str, MethodEntry]:
-    return _OWN | _of_conf(conf_folder())
+    return {**own().methods, **_of_conf(conf_folder())}
 
 
 @cache

@@ -23,12 +23,12 @@ from tdgbench.tables.measures import (
     HOURS,
     MAIN_COLUMNS,
     MAIN_SCORES,
-    MEASURES,
     MEMORY,
     OF_RECORDS,
     OVERALL,
     PARAMETERS,
     digits,
+    measure_of,
 )
 from tdgbench.tables.palette import with_mark
 from tdgbench.tables.published import published_main
@@ -180,7 +180,7 @@ def effects(cells: pd.DataFrame) -> pd.DataFrame:
 
 def _changes(both: pd.DataFrame) -> pd.DataFrame:
     """Return changes by scene, and over all scenes that every seed has."""
-    ratio = both["metric"].map(lambda name: MEASURES[name].ratio)
+    ratio = both["metric"].map(lambda name: measure_of(name).ratio)
     before, after = both["value_before"], both["value_after"]
     logs = np.log((after / before).where(ratio, 1.0))
     both = both.assign(change=(after - before).where(~ratio, logs))
@@ -193,7 +193,7 @@ def _changes(both: pd.DataFrame) -> pd.DataFrame:
             places.append((datasets[0] if len(datasets) == 1 else "", AVERAGE if len(datasets) == 1 else OVERALL, wide))
         for dataset, scene, values in places:
             mean, low, high = mean_interval(values.mean(axis=1).to_numpy())
-            kind = "ratio" if MEASURES[str(metric)].ratio else "difference"
+            kind = "ratio" if measure_of(str(metric)).ratio else "difference"
             numbers = np.exp([mean, low, high]) if kind == "ratio" else (mean, low, high)
             rows.append([init, split, dataset, scene, metric, kind, *numbers, len(values), values.shape[1]])
     return pd.DataFrame(rows, columns=CHANGES)
@@ -201,7 +201,7 @@ def _changes(both: pd.DataFrame) -> pd.DataFrame:
 
 def changes_as_text(changes: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
     """Return heads and rows for a reader: each change of the widest average with its interval. changes: `effects`."""
-    heads = ["change", "iterations", "scene", *(MEASURES[name].change for name in COMPARED)]
+    heads = ["change", "iterations", "scene", *(measure_of(name).change for name in COMPARED)]
     rows = []
     shown = with_setup(widest_average(changes), "effect")
     for place, group in shown.groupby(["effect", "iterations", "scene"], sort=False):

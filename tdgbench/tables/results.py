@@ -15,7 +15,7 @@ from tdgbench.cells.paths import RECORD_FILE, VIEWS_FILE, cell_folder_of
 from tdgbench.cells.plan import Plan, read_plan
 from tdgbench.cells.record import READ_PHASE, Failure, Record, no_records, read_each
 from tdgbench.scoring import METRICS
-from tdgbench.tables import measures, methods
+from tdgbench.tables import methods
 from tdgbench.tables.likeness import machine
 from tdgbench.tables.long_table import method_label, planned_iterations
 
@@ -28,8 +28,9 @@ class Cell(CellFolder):
 
     @property
     def label(self) -> str:
-        """The label of the method's column, with the seed unless that is 0."""
-        return method_label(self.record, with_init=True) + (f", seed {self.record.seed}" if self.record.seed else "")
+        """The method's column as it is printed, with the seed unless that is 0."""
+        column = methods.label(method_label(self.record, with_init=True))
+        return f"{column}, seed {self.record.seed}" if self.record.seed else column
 
     @property
     def planned_iterations(self) -> int:
@@ -103,8 +104,6 @@ def read_results(experiment: Path) -> Results:
     except (OSError, ValueError) as error:
         plan = Plan()
         problems.append(f"{error}; tables show the cells that have records")
-    methods.learn(plan.own_methods)
-    measures.learn(plan.own_metrics)
     cells = _cells_in_place(experiment, problems)
     if experiment.absolute().name == UNNAMED and plan.scenes:
         scenes = {(scene.dataset, scene.scene) for scene in plan.scenes}

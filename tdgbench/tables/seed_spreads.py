@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 from omegaconf import OmegaConf
 
-from tdgbench.tables.measures import MEASURES
+from tdgbench.tables.measures import measure_of
 from tdgbench.tables.published import FOLDER
 
 
@@ -46,7 +46,7 @@ def beyond_any_seed(metric: str, distance: float) -> bool:
 
 def beyond_in_words(metrics: Iterable[str]) -> str:
     """Return why one seed is enough for scores of these metrics that are `beyond_any_seed`."""
-    spreads, described = load_seed_spreads(), [MEASURES[name] for name in dict.fromkeys(metrics)]
+    spreads, described = load_seed_spreads(), [measure_of(name) for name in dict.fromkeys(metrics)]
     largest = ", ".join(f"{spreads.largest[one.name]:g}{one.suffix} {one.label}" for one in described)
     return f"not reproduced: off by more than {spreads.factor:g} times the largest spread over seeds, {largest}"
 

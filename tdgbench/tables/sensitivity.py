@@ -28,7 +28,7 @@ from tdgbench.scoring.lpips import Range
 from tdgbench.scoring.metric import ImageMetric
 from tdgbench.scoring.metrics.psnr import channel_psnr, psnr_affine, psnr_of
 from tdgbench.scoring.scored_view import Border, Convention, ConventionName, ImagePair, NotApplicableError, at_valid
-from tdgbench.tables.measures import MEASURES
+from tdgbench.tables.measures import measure_of
 from tdgbench.tables.results import Cell
 
 SENSITIVITY_COLUMNS = [
@@ -143,7 +143,7 @@ def _order_changes(cells: list[Cell], score: str, before: np.ndarray, after: np.
     groups: dict[tuple[Any, ...], list[int]] = {}
     for index, cell in enumerate(cells):
         groups.setdefault((*cell.dataset_and_scene, cell.record.seed), []).append(index)
-    sign = 1 if MEASURES[score].higher_is_better else -1
+    sign = 1 if measure_of(score).higher_is_better else -1
     pairs = [pair for group in groups.values() for pair in itertools.combinations(group, 2)]
     swapped = sum((before[i] - before[j]) * (after[i] - after[j]) < 0 for i, j in pairs)
     best = sum(

@@ -13,9 +13,10 @@ from rich.text import Text
 from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
+from tdgbench.tables.columns import own_columns
 from tdgbench.tables.grids import RANGE_TITLE, reasons_for_na
 from tdgbench.tables.long_table import RANGE
-from tdgbench.tables.measures import ABLATION, HOURS, MEASURES, as_text
+from tdgbench.tables.measures import ABLATION, HOURS, as_text, measure_of
 from tdgbench.tables.palette import MARK, with_mark
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
 from tdgbench.tables.verdicts import comparable, verdicts_in_words
@@ -50,14 +51,15 @@ def format_columns(table: pd.DataFrame, columns: Mapping[str, tuple[str, str]]) 
 
 def show_tables(tables: Tables) -> None:
     """Print the main table and its differences from the published one; `show_findings` follows."""
-    if tables.is_ablation:
-        _show_ablation(tables)
-    elif tables.readings is not None and tables.effects is not None:
-        _show_readings(tables.readings, tables.effects)
-    else:
-        _show_main(tables)
-    for note in (*tables.grid.notes, *reasons_for_na(tables.main, tables.grid.names)):
-        say(one_line(note))
+    with own_columns(tables.results.plan):
+        if tables.is_ablation:
+            _show_ablation(tables)
+        elif tables.readings is not None and tables.effects is not None:
+            _show_readings(tables.readings, tables.effects)
+        else:
+            _show_main(tables)
+        for note in (*tables.grid.notes, *reasons_for_na(tables.main, tables.grid.names)):
+            say(one_line(note))
     show_problems(tables.problems)
     show_doubts(doubts_of(tables.records))
     if tables.difference is not None:
@@ -96,7 +98,7 @@ def show_sensitivity(sensitivity: pd.DataFrame) -> None:
             changes = (as_text(row["score"], row[name], form="+.3f") for name in ("mean_change", "largest_change"))
             ranks = "n/a" if pd.isna(row["rank_correlation"]) else f"{row['rank_correlation']:.2f}"
             numbers = [*changes, f"{row['reversed']} of {row['pairs']}", row["other_best"], ranks]
-        rows.append([MEASURES[row["score"]].label, row["convention"], *numbers])
+        rows.append([measure_of(row["score"]).label, row["convention"], *numbers])
     heads = ["score", "convention", "change: mean", "largest", "reversed pairs", "other best", "ranks agree (Spearman)"]
     show_table(pd.DataFrame(rows, columns=heads))
     of_some = np.where(sensitivity["cells"] > 0, " in some cells", "")
@@ -127,7 +129,7 @@ def _show_main(tables: Tables) -> None:
     """Print the main table: methods of a scene together, under the scene's name."""
     grid, table = tables.grid, Table("scene", "method")
     for name in grid.names:
-        table.add_column(RANGE_TITLE if name == RANGE else MEASURES[name].column, justify="right")
+        table.add_column(RANGE_TITLE if name == RANGE else measure_of(name).column, justify="right")
     for (_, scene), group in groupby(grid.rows, key=lambda row: row.place[:2]):
         rows = list(group)
         title = f"{scene} {MARK}" if any(row.is_marked for row in rows) else scene
@@ -141,7 +143,7 @@ def _show_main(tables: Tables) -> None:
 
 
 def _show_ablation(tables: Tables) -> None:
-    described = [MEASURES[metric] for metric in ABLATION]
+    described = [measure_of(metric) for metric in ABLATION]
     heads = (metric.column + (f", {metric.images}" if metric.images else "") for metric in described)
     rows = [
         [f"{row.place[0]} {MARK}" if row.is_marked else row.place[0], row.place[1], *(cell.mean for cell in row.cells)]
@@ -162,7 +164,7 @@ def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame) -> None:
         values = group.groupby("metric")["value"].mean()
         named = [*names[:2], with_mark(str(names[2]), group)]
         rows.append([*named, *(as_text(m, values[m], str(names[2])) if m in values else "n/a" for m in SHOWN)])
-    heads = ["method", "iterations", "scene", *(MEASURES[m].column for m in SHOWN)]
+    heads = ["method", "iterations", "scene", *(measure_of(m).column for m in SHOWN)]
     show_table(pd.DataFrame(rows, columns=heads))
     heads, rows = changes_as_text(effects)
     show_table(pd.DataFrame(rows, columns=heads))

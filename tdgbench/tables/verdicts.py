@@ -19,7 +19,7 @@ from omegaconf import OmegaConf
 from scipy.special import stdtrit
 
 from tdgbench.tables.between_papers import with_other_papers
-from tdgbench.tables.measures import HOURS, MEASURES, OVERALL, half_unit
+from tdgbench.tables.measures import HOURS, OVERALL, half_unit, measure_of
 from tdgbench.tables.palette import IMAGES
 from tdgbench.tables.published import FOLDER
 from tdgbench.tables.seed_spreads import beyond_any_seed
@@ -128,7 +128,7 @@ def judge_published(metric: str, scene: str, ours: float, published: float, std:
             return ScoreVerdict(NOT_REPRODUCED, margin, nan, nan, "", "")
         return ScoreVerdict(UNDECIDED, margin, nan, nan, UNKNOWN, ONE_SEED)
     low, high = (float(end) for end in seeds_interval(ours, std, seeds))
-    word = str(judge_score(low, high, published, rounding, margin, MEASURES[metric].higher_is_better))
+    word = str(judge_score(low, high, published, rounding, margin, measure_of(metric).higher_is_better))
     if word != UNDECIDED:
         return ScoreVerdict(word, margin, low, high, "", "")
     needed = seeds_needed(abs(ours - published), std, rounding, margin)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from tdgbench.__main__ import main
 from tdgbench.cells import known_classes
-from tdgbench.tables import methods
 from tests.helpers.paths import ROOT
 
 FILE = re.compile(r"^`([\w./]+)`[^`\n]*:\n\n```(?:python|yaml)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
@@ -32,7 +31,6 @@ class Page:
             (folder / path).write_text(content, encoding="utf-8")
         monkeypatch.chdir(folder)
         monkeypatch.setattr(known_classes, "_TRUSTED", set())
-        monkeypatch.setattr(methods, "_OWN", {})
         if (folder / "yaml" / "method").is_dir():  # as `verify --config-dir yaml`
             known_classes.trust([folder / "yaml"])
         monkeypatch.syspath_prepend(str(folder))

@@ -10,7 +10,7 @@ import pytest
 from tdgbench.report.report_page import legend, published_section
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.grids import difference_note, further_grid
-from tdgbench.tables.measures import MEASURES
+from tdgbench.tables.measures import measure_of
 from tdgbench.text import duration
 from tests.helpers.records import write
 
@@ -80,8 +80,8 @@ def test_nothing_is_said_where_there_is_nothing(tables):
 def test_the_section(tables):
     found = published_section(tables)
     verdicts = {metric: rest for metric, *rest in found["verdicts"]}
-    assert verdicts[MEASURES["psnr"].title] == ["0.2", "1 reproduced, 1 worse, 1 undecided (unknown for 1)"]
-    assert MEASURES["train_hours"].title not in verdicts
+    assert verdicts[measure_of("psnr").title] == ["0.2", "1 reproduced, 1 worse, 1 undecided (unknown for 1)"]
+    assert measure_of("train_hours").title not in verdicts
     parterre = next(row for row in found["rows"] if row[1] == "Parterre")
     assert parterre[3:5] == ["tdg 24.06; thermosplat-2601 26.16", "2.10"]
     assert len(found["rows"]) == 8 and len(found["notes"]) == 1

@@ -14,7 +14,7 @@ import pytest
 
 from tdgbench.cells.cell_tables import write_views
 from tdgbench.cells.paths import RECORD_FILE
-from tdgbench.cells.plan import MetricEntry, Plan
+from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import Record
 from tdgbench.scenes import Description
 from tdgbench.scoring import METRICS
@@ -34,14 +34,6 @@ def experiment(tmp_path) -> Path:
     for scene in ("orbit", "night"):
         write(tmp_path / "e", scene=scene, dataset="synthetic", group="360", scores={"psnr": 21.0})
     return tmp_path / "e"
-
-
-def test_own_metrics_of_one_folder_are_no_columns_of_the_next(experiment, tmp_path):
-    entry = MetricEntry("sharpness", "of edges", "dB", 1, True, (None, None), "")
-    Plan(own_metrics={"sharpness": entry}).write(tmp_path / "own")
-    write(tmp_path / "own", scores={"psnr": 21.0, "sharpness": 1.0})
-    tables = [build_tables(folder).main["metric"].tolist() for folder in (experiment, tmp_path / "own", experiment)]
-    assert tables[0] == tables[2] and "sharpness" in tables[1]
 
 
 def test_runs_without_a_name_share_no_table(experiment):
@@ -190,5 +182,5 @@ def test_views_without_a_metric_have_none(tmp_path):
 
 
 def test_labels(tmp_path):
-    assert Cell(tmp_path, record()).label == "tdg"
-    assert Cell(tmp_path, record(init="random", seed=2)).label == "tdg (random), seed 2"
+    assert Cell(tmp_path, record()).label == "TDg"
+    assert Cell(tmp_path, record(init="random", seed=2)).label == "TDg (random), seed 2"

@@ -129,6 +129,7 @@ def _write_outputs(experiment: Path) -> tuple[list[str], list[str]]:
     from tdgbench.report.report_page import in_order, write_report
     from tdgbench.tables import methods
     from tdgbench.tables.build import build_tables
+    from tdgbench.tables.columns import own_columns
     from tdgbench.tables.show import show_tables
 
     tables = build_tables(experiment)
@@ -136,9 +137,10 @@ def _write_outputs(experiment: Path) -> tuple[list[str], list[str]]:
     say(f"tables: {tables.folder}")
     outputs = [path for path in tables.folder.iterdir() if path.suffix in (".csv", ".tex", ".txt")]
     strip = experiment / "strip.png"
-    if draw_strip(in_order(tables.results), strip, methods.label):
-        say(f"pictures: {strip}")
-        outputs.append(strip)
+    with own_columns(tables.results.plan):
+        if draw_strip(in_order(tables.results), strip, methods.label):
+            say(f"pictures: {strip}")
+            outputs.append(strip)
     outputs.append(write_report(tables))
     say(f"report: {outputs[-1]}")
     return tables.findings, [path.relative_to(experiment).as_posix() for path in outputs]

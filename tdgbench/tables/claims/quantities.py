@@ -15,7 +15,7 @@ import pandas as pd
 from tdgbench.scoring import METRICS
 from tdgbench.tables.claims.evidence import Claim
 from tdgbench.tables.long_table import metric_value
-from tdgbench.tables.measures import MEASURES
+from tdgbench.tables.measures import measure_of
 from tdgbench.tables.results import Cell
 
 NumberOf = Callable[[Cell, Claim], float | None]  # None or NaN: n/a
@@ -91,7 +91,7 @@ def _changes(cell: Cell, _claim: Claim, names: tuple[str, ...]) -> float | None:
 
 
 def _metric(metric: str) -> Quantity:
-    measure = MEASURES[metric]
+    measure = measure_of(metric)
     places, numbers = measure.digits if measure.unit else 4, _of_measure(metric)
     label = measure.label + " of the RGB model" * metric.startswith("rgb_")
     return Quantity(label, numbers, higher=measure.higher_is_better, digits=places, unit=measure.suffix)

@@ -191,7 +191,7 @@ def bold_follows(_claim: Claim, evidence: ClaimEvidence) -> Finding:
     if "bold" not in table:
         raise MissingError("our tables mark by another rule: all that seeds cannot tell from the best")
     goodness = [
-        round(r.value, digits(r.metric, r.scene)) * (1 if measures.MEASURES[r.metric].higher_is_better else -1)
+        round(r.value, digits(r.metric, r.scene)) * (1 if measures.measure_of(r.metric).higher_is_better else -1)
         for r in table.itertuples()
     ]
     by_row = pd.Series(goodness, table.index).groupby([table["dataset"], table["scene"], table["metric"]])
@@ -259,7 +259,7 @@ def _decided(holds: bool, grounds: str) -> Finding:
 
 
 def _label(metric: str) -> str:
-    return measures.MEASURES[metric].label
+    return measures.measure_of(metric).label
 
 
 def _value(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> float:
