@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, ValidationE
 from pydantic_core import ErrorDetails
 
 from methods.likeness import LEAST, details, fits_better
-from tdgbench.scenes import Scene, SceneError, View
+from tdgbench.scenes import Scene, SceneError, TemperatureRange, View
 from tdgbench.scenes.formats import decode
 from tdgbench.scenes.images import is_gray
 from tdgbench.scenes.inputs import hash_of, listed, read_array, read_bytes
@@ -218,7 +218,8 @@ class Renders(Method):
             raise SceneError(f"{self.folder}: {'; '.join(problems)}; {remedy}")
         if "<view>" in self.layout.renders and run.views not in (None, views, list(by_view)):
             raise SceneError(
-                f"{self.folder / RUN}: views contradicts the files, which are named by their views; remove it"
+                f"{self.folder / RUN}: views contradicts the files, which are named by their views; remove "
+                f"`views` from {RUN}"
             )
         return {view: path for view, (path,) in by_view.items()}  # in the order of the files, as they are hashed
 
@@ -260,6 +261,9 @@ def read_run(path: Path, scene: Scene) -> Run:
         run = Run.model_validate_json(read_bytes(path))
     except ValidationError as error:
         raise SceneError(f"{path}: {'; '.join(_in_words(fault) for fault in error.errors())}") from error
+    unfilled = [key for key in ("system", "repository", "command", "device") if getattr(run, key) == EXAMPLE[key]]
+    if unfilled:
+        raise SceneError(f"{path}: {unfilled[0]} is still the example's text; fill it in")
     if run.split != scene.split:
         raise SceneError(f"{path}: split is {run.split}, that of {scene.name} is {scene.split}; set data.split")
     return run
@@ -271,6 +275,8 @@ def _in_words(fault: ErrorDetails) -> str:
         text = f"is no key{meant(key, Run.model_fields)}"
     elif fault["type"] == "missing":
         text = "is missing"
+    elif key == "wall_time":
+        text += ": seconds, or null"
     return f"{key}: {text}" if key else text
 
 
@@ -333,9 +339,25 @@ def _array(path: Path, run: Run, scene: Scene) -> np.ndarray:
         span = scene.temperature
         if span is None or scene.channels != 1:
             raise SceneError(f"{path} holds °C, and {scene.name} has no range of °C; write values in [0, 1]")
-        values = (values.astype(np.float64) - span.min) / (span.max - span.min)
+        return _of_degrees(values, span, path)
     median = float(np.median(values))
     if not PLAUSIBLE[0] <= median <= PLAUSIBLE[1]:
         what = f"{median:.3g} in its median, where images are in [0, 1]"
-        raise SceneError(f"{path} is {what}; is value_range={run.value_range} in {RUN} right?")
+        raise SceneError(f"{path} is {what}; is value_range=unit in {RUN} right?")
     return values.astype(np.float32)
+
+
+def _of_degrees(values: np.ndarray, span: TemperatureRange, path: Path) -> np.ndarray:
+    """Return °C as image values. Raises SceneError for those of another unit."""
+    width, median = span.max - span.min, float(np.median(values))
+    scene, right = f"{span.min:g} to {span.max:g} °C", f"is value_range=degC in {RUN} right?"
+
+    def is_plausible(value: float) -> bool:
+        return PLAUSIBLE[0] <= (value - span.min) / width <= PLAUSIBLE[1]
+
+    if not is_plausible(median):
+        remedy = "is it in kelvin?" if is_plausible(median - 273.15) else right
+        raise SceneError(f"{path} is {median:.3g} °C in its median, the scene {scene}; {remedy}")
+    if values.max() < span.min or values.min() > span.max:
+        raise SceneError(f"{path} lies wholly outside the scene's {scene}; {right} (`unit`: values in [0, 1])")
+    return ((values.astype(np.float64) - span.min) / width).astype(np.float32)

@@ -16,7 +16,7 @@ from tdgbench.bench.scores import render_views
 from tdgbench.bench.setup import set_up
 from tdgbench.cells.renders import render_model
 from tdgbench.report.scene_section import scene_section
-from tdgbench.scenes import SceneError
+from tdgbench.scenes import SceneError, TemperatureRange
 from tdgbench.splats.ply import load_ply
 from tdgbench.tables.long_table import metric_value, planned_iterations
 from tdgbench.tables.results import Cell
@@ -194,6 +194,13 @@ def test_degrees_become_image_values(small_gray_scene, tmp_path):
         np.save(folder / f"{view.name}.npy", view.thermal.astype(np.float64) * (span.max - span.min) + span.min)
     for view in small_gray_scene.test:
         assert rendered(small_gray_scene, folder)[view.name] == pytest.approx(view.thermal, abs=1e-6)
+    warm = replace(small_gray_scene, temperature=TemperatureRange(14.0, 50.0))
+    for shift, said in ((None, "lies wholly outside the scene's 14 to 50 °C; is value_range=degC in"),
+                        (273.15, "°C in its median, the scene 14 to 50 °C; is it in kelvin?")):  # fmt: skip
+        for view in warm.test:
+            values = view.thermal if shift is None else view.thermal.astype(np.float64) * 36 + 14 + shift
+            np.save(folder / f"{view.name}.npy", values)
+        assert said in error_of(warm, folder)
     assert "no range of °C" in error_of(replace(small_gray_scene, temperature=None), folder)
     write_run(folder, value_range="unit")
     assert "is value_range=unit in run.json right?" in error_of(small_gray_scene, folder)
@@ -285,11 +292,12 @@ def test_a_faulty_file_is_an_error_that_names_it(small_gray_scene, tmp_path, mes
         ({"value_range": "kelvin"}, "value_range: Input should be 'unit' or 'degC'"),
         ({"checkpoint_rule": "best"}, "checkpoint_rule: Input should be"),
         ({"wall_time": -1}, "wall_time: Input should be greater than or equal to 0"),
-        ({"wall_time": "1 h"}, "wall_time: Input should be a valid number"),
+        ({"wall_time": "1 h"}, "wall_time: Input should be a valid number: seconds, or null"),
         ({"system": ""}, "system: String should have at least 1 character"),
         ({"licence": "MIT"}, "licence: is no key"),
         ({"veiws": []}, "veiws: is no key; did you mean views?"),
-        ({"views": ["view005", "view000"]}, "views contradicts the files, which are named by their views; remove it"),
+        ({"views": ["view005", "view000"]}, "the files, which are named by their views; remove `views`"),
+        ({"device": "NAME OF THE GPU"}, "device is still the example's text; fill it in"),
         ({"split": "every_8th"}, "split is every_8th, that of"),
     ],
 )
@@ -310,6 +318,8 @@ def test_all_faults_of_run_json_are_named_at_once(small_gray_scene, tmp_path):
     first, example = error_of(small_gray_scene, folder).splitlines()
     assert "run.json, which says what made the renders, is missing; fill in the example" in first
     (folder / "run.json").write_text(example)
+    assert "system is still the example's text; fill it in" in error_of(small_gray_scene, folder)
+    (folder / "run.json").write_text(json.dumps({**json.loads(example), **RUN}))
     assert rendered(small_gray_scene, folder)
     for file in folder.glob("*.npy"):
         np.save(file, np.load(file)[1:])
