@@ -38,8 +38,10 @@ def _read(source: Source) -> tuple[Header, bytes]:
             if len(raw) == 2 * width * height and (width * times, height * times) == (picture.width, picture.height):
                 is_enlarged = f"counts of {width}×{height} px, under a picture of {picture.width}×{picture.height}"
                 assumed = (is_enlarged,) if times > 1 else ()
-                known = f"{NAME} ({name})", width, height, "16-bit", "counts"
-                return Header(*known, assumed=assumed, remedy=REMEDY, camera=CAMERA), raw
+                header = Header(
+                    f"{NAME} ({name})", width, height, "16-bit", "counts", assumed=assumed, remedy=REMEDY, camera=CAMERA
+                )
+                return header, raw
     raise SceneError(
         f"{source.path} has {len(joined['APP3'])} bytes of raw data for {picture.width}×{picture.height} pixels of two "
         "bytes: a camera that is not known here, or a damaged file; export it as float TIFF with DJI's SDK, or copy it "
