@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,10 +15,11 @@ from tdgbench.priors.prior import DepthPrior, Kind, PriorError
 from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.scenes.formats import decode, header
 from tdgbench.scenes.inputs import hash_of, is_there, read_array
+from tdgbench.text import named
 
 OFFER = "prior.estimator.folder=DIR (maps made elsewhere)"
 RELEASED_FOLDER = "depthesti"  # folder of TDg's released code, inside the scene
-MOST_SAID = 20  # views that one message names
+MOST_SAID = 20  # causes that one message names
 LARGEST_COUNT = {"8-bit": 255, "16-bit": 65535}
 
 
@@ -34,22 +36,27 @@ class FilePrior:
         self.kind = kind
 
     def identity(self, scene: Scene) -> dict[str, object]:
-        """Return what the maps depend on. Raises PriorError that names the maps of all views that cannot be used."""
+        """Return what the maps depend on. Raises PriorError of all maps that cannot be used, each cause once."""
         folder = f"<scene>/{RELEASED_FOLDER}" if self.folder is None else str(self.folder)
         if self.folder is not None and not is_there(self.folder):
             raise PriorError(f"{folder} does not exist; prior.estimator.folder=DIR names the folder of the maps")
-        digest, problems = hashlib.sha256(), []
+        digest, problems = hashlib.sha256(), dict[str, tuple[str, list[str]]]()
         for view in scene.train:
             try:
                 with _as_prior_error():
                     digest.update(hash_of(self._find(scene, view)))
                 self.estimate(scene, view)
             except PriorError as error:
-                problems.append(str(error))
+                cause = re.sub(rf"\b{re.escape(view.name)}\b", "", str(error))
+                problems.setdefault(cause, (str(error), []))[1].append(view.name)
         if problems:
-            more = [f"and {len(problems) - MOST_SAID} more"] if len(problems) > MOST_SAID else []
-            lines = "\n  ".join([*problems[:MOST_SAID], *more])
-            raise PriorError(f"{len(problems)} of {len(scene.train)} training views have no map to use: {lines}")
+            lines = [
+                text + f" (so it is of {len(others)} more: {named(others)})" * bool(others)
+                for text, (_, *others) in problems.values()
+            ]
+            count, more = sum(len(views) for _, views in problems.values()), len(lines) - MOST_SAID
+            text = "\n  ".join([*lines[:MOST_SAID], *[f"and {more} more"] * (more > 0)])
+            raise PriorError(f"{count} of {len(scene.train)} training views have no map to use: {text}")
         return {"estimator": "files", "folder": folder, "kind": self.kind, "files": digest.hexdigest()[:16]}
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
@@ -85,7 +92,8 @@ class FilePrior:
         if path is None:
             expected = " or ".join(str(base / f"{view.name}.npy") for base in bases)
             raise PriorError(
-                f"view {view.name} has no depth prior; expected {expected} (or .png, or in train/ or test/)"
+                f"view {view.name} has no depth prior; expected {expected} (or .png, or in train/ or test/); "
+                "prior.estimator.folder=DIR names another folder"
             )
         return path
 

@@ -71,6 +71,12 @@ def test_all_maps_that_cannot_be_used_are_named_at_once(small_scene, tmp_path):
         )
         assert f"is 36×48 px and the image of view {second.name} 48×36 px: their aspect ratios differ" in lines[1]
         assert f"{third.name}.png has no known value" in lines[2]
+    for view in small_scene.train:
+        (tmp_path / f"{view.name}.npy").unlink(missing_ok=True)
+    (tmp_path / f"{third.name}.png").unlink()
+    remedy = r"train/ or test/\); prior\.estimator\.folder=DIR names another folder"
+    with pytest.raises(PriorError, match=rf"^8 of 8 .*{remedy} \(so it is of 7 more: view002, .* more\)$"):
+        prior.identity(small_scene)
     with pytest.raises(PriorError, match=r"nowhere does not exist; prior\.estimator\.folder=DIR"):
         FilePrior(str(tmp_path / "nowhere"), "depth").identity(small_scene)
 
