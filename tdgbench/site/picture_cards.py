@@ -35,10 +35,6 @@ class Card:
     pictures: dict[str, np.ndarray] = field(default_factory=dict)  # truth, render, error
     files: dict[str, str] = field(default_factory=dict)  # places of their files
 
-    @property
-    def label(self) -> str:
-        return self.packs[0].label(self.column)
-
 
 def cards_of(packs: Sequence[Pack], dataset: str, scene: str) -> list[list[Card]]:
     """Return the cards of a scene: a list for each set of equal test views, in it each method's first seed.
