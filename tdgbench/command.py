@@ -18,7 +18,7 @@ from tdgbench import __version__
 from tdgbench.bench.commit import commit_in_words
 from tdgbench.resources import conf_folder, import_from_working_folder
 from tdgbench.terminal import FULL_ERROR, console, say
-from tdgbench.tools import TOOLS, usage
+from tdgbench.tools import TOOLS, no_tool, usage
 
 DEMO = "+experiment=demo"
 
@@ -33,8 +33,13 @@ def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
         on_loaded()
         return tool(words[1:])
     if words and "=" not in words[0] and words[0][:1] not in "-+~":
-        say(f"tdgbench: no tool {words[0]!r} (tools: {', '.join(TOOLS)}); see tdgbench --help", stderr=True)
+        say(f"tdgbench: {no_tool(words)}", stderr=True)
         return 2
+    for word, following in zip(words, [*words[1:], ""], strict=True):
+        name, equal, value = word.partition("=")
+        if name.startswith("--") and not any(flag.startswith(name) for flag in _flags()):
+            say(f"tdgbench: {word}: options have no dashes: {name[2:]}={value if equal else following}", stderr=True)
+            return 2
     if {"--help", "-h"} & set(words):
         say(usage())
     elif "--version" in words:
@@ -63,7 +68,7 @@ def flags_first(words: Iterable[str]) -> list[str]:
     >>> flags_first(["name=x", "-m", "method=a,b", "--config-dir", "mine"])
     ['-m', '--config-dir', 'mine', 'name=x', 'method=a,b']
     """
-    with_value = {flag for one in get_args_parser()._actions if one.nargs is None for flag in one.option_strings}
+    with_value = {flag for flag, has_value in _flags().items() if has_value}
     flags, overrides, rest = [], [], iter(words)
     for word in rest:
         if word.startswith("-"):
@@ -71,6 +76,11 @@ def flags_first(words: Iterable[str]) -> list[str]:
         else:
             overrides.append(word)
     return flags + overrides
+
+
+def _flags() -> dict[str, bool]:
+    """Return Hydra's flags, and whether a value follows."""
+    return {flag: one.nargs is None for one in get_args_parser()._actions for flag in one.option_strings}
 
 
 @hydra.main(config_path=str(conf_folder()), config_name="config", version_base="1.3")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from tdgbench import __version__
 from tdgbench.resources import conf_folder
+from tdgbench.text import meant
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,9 @@ TOOLS = {
     "unpack": Tool((), "tdgbench.packs.command", "unpack_main"),
 }
 
+CLASS_NAME = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+"
+OF_A_CLASS = "a class is named in a YAML file: `_target_` (docs/extending/method.md)"
+
 WIDTH = 118
 LEFT_WIDTH = 42  # width of the first column
 
@@ -101,6 +106,21 @@ def usage() -> str:
     for title, rows in sections.items():
         lines += [title, *(f"  {left:<{LEFT_WIDTH}} {right}" for left, right in rows)]
     return "\n".join(lines)
+
+
+def no_tool(words: list[str]) -> str:
+    """Return what to write instead of a command line whose first word is no tool.
+
+    >>> no_tool(["vrify", "x"]).partition(" (")[0]
+    "no tool 'vrify'; did you mean verify?"
+    """
+    first, *rest = words
+    remedy = meant(first, TOOLS)
+    if not remedy and re.fullmatch(CLASS_NAME, first):
+        remedy = f"; {OF_A_CLASS}"
+    elif not remedy and rest and "=" in rest[0]:
+        remedy = f"; a training has no word in front: tdgbench {' '.join(rest)}"
+    return f"no tool {first!r}{remedy} (tools: {', '.join(TOOLS)}); see tdgbench --help"
 
 
 def _summary(path: Path) -> str:

@@ -14,7 +14,6 @@ import pytest
 from tdgbench import __version__
 from tdgbench.cells.record import read_all
 from tdgbench.splats.cpu import pool
-from tdgbench.tools import TOOLS
 from tdgbench.verify import verify
 from tests.helpers.command import command, command_here, tdgbench_here
 from tests.helpers.configs import QUICK, SMALL
@@ -160,11 +159,20 @@ def test_existing_scenes_run_while_others_are_missing(tmp_path, data_root, small
     assert len(rows) == 2 and not any(row.split(",")[5] == "n/a" for row in rows)  # ours
 
 
-def test_a_wrong_tool_is_one_clear_error(tmp_path):
-    run = tdgbench_here(tmp_path, "tabels", "results/demo")
-    assert run.returncode == 2 and run.stdout == ""
-    assert {"tables", "verify", "site"} <= set(TOOLS)
-    assert run.stderr == f"tdgbench: no tool 'tabels' (tools: {', '.join(TOOLS)}); see tdgbench --help\n"
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("tabels results/demo", "no tool 'tabels'; did you mean tables? (tools: "),
+        ("train method=3dgs", "no tool 'train'; a training has no word in front: tdgbench method=3dgs (tools: "),
+        ("mine.Mine", "no tool 'mine.Mine'; a class is named in a YAML file: `_target_` (docs/extending/method.md) (t"),
+        ("--method 3dgs", "--method: options have no dashes: method=3dgs"),
+        ("seed=1 --method=3dgs", "--method=3dgs: options have no dashes: method=3dgs"),
+    ],
+)
+def test_wrong_words_are_one_clear_error(tmp_path, words, said):
+    run = tdgbench_here(tmp_path, *words.split())
+    assert run.returncode == 2 and run.stdout == "" and run.stderr.startswith(f"tdgbench: {said}")
+    assert run.stderr.count("\n") == 1
 
 
 def test_version_and_hydra_s_help(tmp_path):

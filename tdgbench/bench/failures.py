@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import sysconfig
 import traceback
 from collections.abc import Callable, Sequence
@@ -24,6 +25,7 @@ from tdgbench.scenes import SceneError
 from tdgbench.scoring.metric import MetricError
 from tdgbench.terminal import FULL_ERROR
 from tdgbench.text import meant
+from tdgbench.tools import CLASS_NAME, OF_A_CLASS
 from tdgbench.training.part import TrainingError
 
 EXPECTED_ERRORS = (OptionError, SceneError, PriorError, TrainingError, MetricError)  # messages that need no type
@@ -147,6 +149,15 @@ def _of_choice(error: MissingConfigException, words: Sequence[str]) -> str:
     group, _, choice = error.missing_cfg_file.rpartition("/")
     there = ", ".join(error.options)
     typed = any("=" in word for word in words)
+    for key, _, path in (word.lstrip("+").partition("=") for word in words):
+        if error.missing_cfg_file.startswith(f"{key}/") and path.endswith((".yaml", ".yml")):
+            parent = Path(path).parent
+            folder = parent.parent if parent.name == key else "DIR"
+            return f"{key}={path}: {key} takes a name: --config-dir {folder} {key}={Path(path).stem}" + (
+                "" if parent.name == key else f", which reads DIR/{key}/{Path(path).name}"
+            )
+    if typed and re.fullmatch(CLASS_NAME, choice):
+        return f"{group}={choice}: there is no such {group}; {OF_A_CLASS} (there are {there})"
     own = f"; a file of yours needs --config-dir DIR, with DIR/{error.missing_cfg_file}.yaml" if typed else ""
     return f"{group}={choice}: there is no such {group}{meant(choice, error.options)} (there are {there}){own}"
 
@@ -162,6 +173,11 @@ def _of_option(error: ConfigCompositionException, words: Sequence[str]) -> str:
     return f"{typed}: is no option{remedy} (`tdgbench --cfg job` shows all)"
 
 
+def _of_word(error: OverrideParseException, words: Sequence[str]) -> str:
+    said = OF_A_CLASS if re.fullmatch(CLASS_NAME, error.override) else error
+    return f"{error.override!r} cannot be read as KEY=VALUE: {said}"
+
+
 def _of_configuration(error: HydraException | OmegaConfBaseException, words: Sequence[str]) -> str:
     if isinstance(error, HydraException) and "--multirun" in str(error):
         return f"several values need -m: tdgbench -m {' '.join(words)}"
@@ -170,7 +186,7 @@ def _of_configuration(error: HydraException | OmegaConfBaseException, words: Seq
 
 
 _MESSAGES: tuple[tuple[Any, Callable[..., str]], ...] = (  # the first one that says something counts
-    (OverrideParseException, lambda error, words: f"{error.override!r} cannot be read as KEY=VALUE: {error}"),
+    (OverrideParseException, _of_word),
     (MissingConfigException, _of_choice),
     (ConfigCompositionException, _of_option),
     ((HydraException, OmegaConfBaseException), _of_configuration),
