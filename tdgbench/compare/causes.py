@@ -103,8 +103,9 @@ def truth_in_words(pair: ComparedCell) -> str:
 
 def settings(record: Record) -> dict[tuple[str, str], str]:
     """Return everything behind a cell's scores as text, by kind and dotted name."""
-    number = record.protocol.partition("-")[0]  # the rest is a hash of options
-    whole: dict[str, dict[str, Any]] = {PROTOCOL: {"protocol": number}, TRAINING: {}, MACHINE: dict(record.environment)}
+    whole: dict[str, dict[str, Any]] = {
+        PROTOCOL: {"protocol": record.protocol_number}, TRAINING: {}, MACHINE: dict(record.environment)
+    }  # fmt: skip
     for kind, fields in ((PROTOCOL, OF_PROTOCOL), (TRAINING, OF_TRAINING)):
         whole[kind] |= {name: getattr(record, name) for name in fields}
     for group, options in record.config.items():

@@ -30,7 +30,7 @@ from tdgbench.resources import conf_folder
 from tdgbench.tables import methods
 from tdgbench.tables.build import Tables, build_tables
 from tdgbench.tables.columns import own_columns
-from tdgbench.tables.grids import SCENE_KEYS, main_grid
+from tdgbench.tables.grids import ERROR, SCENE_KEYS, main_grid
 from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import AVERAGE, COLUMNS, OVERALL, is_of_training, measure_of, own_metrics
 from tdgbench.tables.palette import image_values
@@ -38,9 +38,7 @@ from tdgbench.tables.results import Cell
 from tdgbench.text import as_typed, shortened
 
 AVERAGES = (AVERAGE, OVERALL)
-ERROR = "mae_degC"
-TRUE_DEPTH, SPARSE_POINTS = "made from true depth", "from sparse points"
-PRIORS = {"truth": TRUE_DEPTH, "points": SPARSE_POINTS}  # in words, by what they are made from
+PRIORS = {"truth": "made from true depth", "points": "from sparse points"}  # in words, by what they are made from
 SCORES = tuple(one for name in COLUMNS for one in ((name, ERROR) if name == "psnr" else (name,)))  # of rows and cells
 HEADS = [measure_of(name).title for name in SCORES]
 
@@ -103,8 +101,8 @@ class BoardRow:
 
     settings: of its protocol. scores: of each of SCORES. own: of the pack's own metrics, by title and meaning. setups:
     what its cells have to share with those of a rival, as JSON. ranks: best and worst one among `rivals` rows of all
-    packs, see `ranked`; None for the reason in `unranked`. tied: those that it cannot be told from. twin: another pack
-    with the same cells.
+    packs, see `ranked`; None for the reason in `unranked`, which may be that it and its rivals are unlike. tied: those
+    that it cannot be told from. twin: another pack with the same cells.
     """
 
     pack: Pack
@@ -122,6 +120,7 @@ class BoardRow:
     rivals: int = 0
     tied: tuple[str, ...] = ()
     unranked: str = "no other row to compare with"
+    is_unlike: bool = False
     twin: str = ""
 
     @property
@@ -177,6 +176,11 @@ class BoardRow:
             "size, px": joined(size_of(cell) for cell in self.cells),
             "range, °C": "several" if len(ranges) > 1 else ranges.pop(),
         }
+
+    @property
+    def prior_sources(self) -> set[str]:
+        """What its depth prior is made from."""
+        return {record.prior_made_from for record in self.records}
 
     @property
     def prior(self) -> str:

@@ -12,7 +12,6 @@ from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
 from tdgbench.present.figures import as_svg, plain
 from tdgbench.site.packed import SCORES, BoardRow
-from tdgbench.site.ranking import is_unlike
 from tdgbench.tables.measures import HOURS
 from tdgbench.text import duration, shortened
 
@@ -27,7 +26,7 @@ PSNR, TIME = SCORES.index("psnr"), SCORES.index(HOURS.name)
 
 def plots(rows: Sequence[BoardRow]) -> list[tuple[str, str]]:
     """Return SVG and caption for each machine that ran several rows; none of several scenes, or of unlike rows."""
-    if len({(row.scene, *row.scenes) for row in rows}) > 1 or any(map(is_unlike, rows)):
+    if len({(row.scene, *row.scenes) for row in rows}) > 1 or any(row.is_unlike for row in rows):
         return []
     by_machine: dict[tuple[str, ...], list[BoardRow]] = {}
     for row in rows:

@@ -16,7 +16,6 @@ from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE
 from tdgbench.text import as_typed
 
 METRIC = "psnr"  # that ranks are of
-UNLIKE = "the rows of all packs differ in "
 WITHOUT_WORDS = ("scene's files", "ground truth", "views", "masked")  # whose values tell a reader nothing
 FEW_SEEDS = f"fewer than {FEWEST_SEEDS} seeds, or no rival with as many"
 
@@ -43,7 +42,7 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
     for one, twins in zip(
         _among_rivals([first for first, *_ in by_content.values()]), by_content.values(), strict=True
     ):
-        ranks = {name: getattr(one, name) for name in ("ranks", "rivals", "tied", "unranked")}
+        ranks = {name: getattr(one, name) for name in ("ranks", "rivals", "tied", "unranked", "is_unlike")}
         found.append(one)
         for row in twins[1:]:
             is_bold = [own.bold and own.value == cell.value for own, cell in zip(one.scores, row.scores, strict=True)]
@@ -56,7 +55,8 @@ def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:
     if len(rivals) < 2:
         return rivals
     if any(row.setups != rivals[0].setups or len(row.setups) > len(row.scenes) for row in rivals):
-        return [replace(row, unranked=UNLIKE + _differences(rivals)) for row in rivals]
+        unlike = f"the rows of all packs differ in {_differences(rivals)}"
+        return [replace(row, unranked=unlike, is_unlike=True) for row in rivals]
     able = [i for i, row in enumerate(rivals) if len(row.by_seed(METRIC)) >= FEWEST_SEEDS]
     found = [replace(row, unranked=FEW_SEEDS) for row in rivals]
     if len(able) < 2:
@@ -73,11 +73,6 @@ def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:
         ranks = 1 + verdicts.count(BETTER), len(able) - verdicts.count(WORSE)
         found[i] = replace(found[i], ranks=ranks, rivals=len(able), tied=tied, scores=tuple(scores))
     return found
-
-
-def is_unlike(row: BoardRow) -> bool:
-    """Return whether a row has no rank because it and its rivals are not alike."""
-    return row.unranked.startswith(UNLIKE)
 
 
 def _differences(rows: Sequence[BoardRow]) -> str:

@@ -22,12 +22,11 @@ from tdgbench.present.html import environment
 from tdgbench.report.report_page import legend
 from tdgbench.report.run_facts import environments
 from tdgbench.resources import conf_folder
+from tdgbench.scenes.registry import is_built_in
 from tdgbench.site.packed import (
     ERROR,
     HEADS,
     SCORES,
-    SPARSE_POINTS,
-    TRUE_DEPTH,
     BoardRow,
     Pack,
     joined,
@@ -39,11 +38,11 @@ from tdgbench.site.packed import (
 )
 from tdgbench.site.picture_cards import cards_of, files_of_cards
 from tdgbench.site.psnr_time_plot import plots
-from tdgbench.site.ranking import is_unlike, ranked
+from tdgbench.site.ranking import ranked
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows, doubts_of
 from tdgbench.tables.claims import judge_claims, load_claims
-from tdgbench.tables.claims.evidence import BUILT_IN, JudgedClaim, evidence_of
+from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
@@ -183,7 +182,7 @@ class _Site:
 
 def in_words(dataset: str) -> str:
     """Return a data set's name, with what it is where the name does not say it."""
-    if dataset.startswith(BUILT_IN):
+    if is_built_in(dataset):
         return f"{dataset} (built into tdgbench)"
     return f"{dataset} (scenes of one's own, read from a folder)" if dataset == "folder" else dataset
 
@@ -209,7 +208,7 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
             "facts": [name for name in facts if any(row.facts[name] != "n/a" for row in group)],
             "plots": plots([row for row in group if row.scenes == widest] if averages else group),
             "own": sorted({key for row in group for key in row.own}),
-            "unlike": _scenes_by_reason(group), "means_unlike": any(row.is_average and is_unlike(row) for row in group),
+            "unlike": _scenes_by_reason(group), "means_unlike": any(row.is_average and row.is_unlike for row in group),
             "palette": palette_in_words(group), "caveats": _caveats(group), "reasons": _reasons(group),
         })  # fmt: skip
     for board in boards:
@@ -222,11 +221,11 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
 def _caveats(rows: Sequence[BoardRow]) -> list[str]:
     """Return what the scores of a leaderboard are no evidence of, and what depth priors are given."""
     of_truth, of_points = (
-        ", ".join(dict.fromkeys(row.pack.label(row.method) for row in rows if source in row.prior))
-        for source in (TRUE_DEPTH, SPARSE_POINTS)
+        ", ".join(dict.fromkeys(row.pack.label(row.method) for row in rows if source in row.prior_sources))
+        for source in ("truth", "points")
     )
     given = f", and the depth prior of {of_truth} is made from their true depth" if of_truth else ""
-    found = [f"Built-in scenes{given}: no evidence on the paper."] if rows[0].dataset.startswith(BUILT_IN) else []
+    found = [f"Built-in scenes{given}: no evidence on the paper."] if is_built_in(rows[0].dataset) else []
     where = f"The depth prior of {of_points} is made from sparse points, which COLMAP mostly finds in RGB images."
     return [*found, *([where] if of_points else [])]
 
@@ -247,7 +246,7 @@ def _scenes_by_reason(rows: Iterable[BoardRow]) -> dict[str, list[str]]:
     """Return scenes whose rows cannot be compared, by what they differ in."""
     found: dict[str, list[str]] = {}
     for row in rows:
-        if is_unlike(row) and not row.is_average and row.scene not in found.get(row.unranked, []):
+        if row.is_unlike and not row.is_average and row.scene not in found.get(row.unranked, []):
             found.setdefault(row.unranked, []).append(row.scene)
     return found
 

@@ -11,9 +11,9 @@ from typing import Any
 import pandas as pd
 
 from tdgbench.cells.record import Record
-from tdgbench.scenes.registry import DATASETS
+from tdgbench.scenes.registry import DATASETS, is_built_in
 from tdgbench.tables import methods
-from tdgbench.tables.claims.evidence import BUILT_IN, FAILS, HOLDS, THE_PAPER, JudgedClaim
+from tdgbench.tables.claims.evidence import FAILS, HOLDS, THE_PAPER, JudgedClaim
 from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.comparisons import COUNTED, EQUAL, MethodComparison, margin_of
 from tdgbench.tables.equal_data import Place, equal_data_notes
@@ -88,7 +88,7 @@ def _caveats(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     scenes = main[~_is_average(main)]
     once = f"one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
     data_sets = set(scenes["dataset"])
-    if all(name.startswith(BUILT_IN) for name in data_sets):
+    if all(is_built_in(name) for name in data_sets):
         what = "These scenes are built in, so this is no evidence on the paper's claims"
     else:
         what = "" if data_sets & set(DATASETS.values()) else "tdgbench has no published scores of these scenes"

@@ -13,10 +13,9 @@ import pandas as pd
 
 from tdgbench.cells.record import Record
 from tdgbench.present.grid import Grid, GridCell, GridRow
-from tdgbench.scenes.registry import GROUPS, SCENES
+from tdgbench.scenes.registry import GROUPS, SCENES, is_built_in
 from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
-from tdgbench.tables.claims.evidence import BUILT_IN
 from tdgbench.tables.findings import given_priors
 from tdgbench.tables.grids import ERROR, reasons_for_na
 from tdgbench.tables.likeness import RANK_UNLIKE
@@ -89,7 +88,7 @@ def setup_notes(records: Sequence[Record]) -> list[str]:
     """Return what has to be known of the trainings behind a table: scenes, priors, seeds, budget, LPIPS, machine."""
     if not records:
         return []
-    built_in = any(record.dataset.startswith(BUILT_IN) for record in records)
+    built_in = any(is_built_in(record.dataset) for record in records)
     seeds = Counter((method_label(one, with_init=True), one.dataset, one.scene) for one in records).values()
     facts = {
         "seeds": [" to ".join(map(str, sorted({min(seeds), max(seeds)})))],
@@ -128,9 +127,9 @@ def main_table(main: pd.DataFrame, grid: Grid, columns: Sequence[str] = (), reco
         if scene == OVERALL:
             lines.append(r"\midrule")
         elif dataset != before[0]:
-            title = f"Built-in scenes ({dataset})" if dataset.startswith(BUILT_IN) else dataset
+            title = f"Built-in scenes ({dataset})" if is_built_in(dataset) else dataset
             lines += [r"\midrule", rf"\multicolumn{{{width}}}{{l}}{{\textbf{{{escape(title)}}}}} \\"]
-        if group and (dataset, group) != before and not dataset.startswith(BUILT_IN):
+        if group and (dataset, group) != before and not is_built_in(dataset):
             title = escape(GROUPS.get(group, group))
             lines.append(rf"\multicolumn{{{width}}}{{l}}{{\quad\textbf{{{title}}}}} \\")
         before = dataset, group

@@ -24,7 +24,6 @@ from tdgbench.text import named
 
 HOLDS, FAILS, UNDECIDED = "holds", "fails", "undecided"
 THE_PAPER = "TDg"  # of claims that name none
-BUILT_IN = "synthetic"  # begins the names of the built-in data sets
 Cells = TypeVar("Cells", bound=tuple[Cell, ...])
 
 
