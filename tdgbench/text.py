@@ -86,6 +86,16 @@ def meant(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {alike[0]}?" if alike else ""
 
 
+def if_class(word: str) -> str:
+    """Return, for a dotted name of a class, `; ` and where it belongs; else nothing.
+
+    >>> if_class("mine.Mine"), if_class("mine.yaml")
+    ('; a class is named in a YAML file: `_target_` (docs/extending/method.md)', '')
+    """
+    is_class = re.fullmatch(r"([A-Za-z_]\w*\.)+[A-Z]\w*", word)
+    return "; a class is named in a YAML file: `_target_` (docs/extending/method.md)" if is_class else ""
+
+
 def duration(seconds: float) -> str:
     """Return a time as h:mm:ss.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import re
 import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from pathlib import Path
 
 from tdgbench import __version__
 from tdgbench.resources import conf_folder
-from tdgbench.text import meant
+from tdgbench.text import if_class, meant
 
 
 @dataclass(frozen=True)
@@ -66,9 +65,6 @@ TOOLS = {
     "unpack": Tool((), "tdgbench.packs.command", "unpack_main"),
 }
 
-CLASS_NAME = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+"
-OF_A_CLASS = "a class is named in a YAML file: `_target_` (docs/extending/method.md)"
-
 WIDTH = 118
 LEFT_WIDTH = 42  # width of the first column
 
@@ -115,10 +111,8 @@ def no_tool(words: list[str]) -> str:
     "no tool 'vrify'; did you mean verify?"
     """
     first, *rest = words
-    remedy = meant(first, TOOLS)
-    if not remedy and re.fullmatch(CLASS_NAME, first):
-        remedy = f"; {OF_A_CLASS}"
-    elif not remedy and rest and "=" in rest[0]:
+    remedy = meant(first, TOOLS) or if_class(first)
+    if not remedy and rest and "=" in rest[0]:
         remedy = f"; a training has no word in front: tdgbench {' '.join(rest)}"
     return f"no tool {first!r}{remedy} (tools: {', '.join(TOOLS)}); see tdgbench --help"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import re
 import sysconfig
 import traceback
 from collections.abc import Callable, Sequence
@@ -24,8 +23,7 @@ from tdgbench.priors import PriorError, PriorUnavailableError
 from tdgbench.scenes import SceneError
 from tdgbench.scoring.metric import MetricError
 from tdgbench.terminal import FULL_ERROR
-from tdgbench.text import meant
-from tdgbench.tools import CLASS_NAME, OF_A_CLASS
+from tdgbench.text import if_class, meant
 from tdgbench.training.part import TrainingError
 
 EXPECTED_ERRORS = (OptionError, SceneError, PriorError, TrainingError, MetricError)  # messages that need no type
@@ -156,8 +154,8 @@ def _of_choice(error: MissingConfigException, words: Sequence[str]) -> str:
             return f"{key}={path}: {key} takes a name: --config-dir {folder} {key}={Path(path).stem}" + (
                 "" if parent.name == key else f", which reads DIR/{key}/{Path(path).name}"
             )
-    if typed and re.fullmatch(CLASS_NAME, choice):
-        return f"{group}={choice}: there is no such {group}; {OF_A_CLASS} (there are {there})"
+    if typed and if_class(choice):
+        return f"{group}={choice}: there is no such {group}{if_class(choice)} (there are {there})"
     own = f"; a file of yours needs --config-dir DIR, with DIR/{error.missing_cfg_file}.yaml" if typed else ""
     return f"{group}={choice}: there is no such {group}{meant(choice, error.options)} (there are {there}){own}"
 
@@ -174,8 +172,8 @@ def _of_option(error: ConfigCompositionException, words: Sequence[str]) -> str:
 
 
 def _of_word(error: OverrideParseException, words: Sequence[str]) -> str:
-    said = OF_A_CLASS if re.fullmatch(CLASS_NAME, error.override) else error
-    return f"{error.override!r} cannot be read as KEY=VALUE: {said}"
+    word = str(error.override)
+    return f"{word!r} cannot be read as KEY=VALUE{if_class(word) or f': {error}'}"
 
 
 def _of_configuration(error: HydraException | OmegaConfBaseException, words: Sequence[str]) -> str:
