@@ -84,10 +84,11 @@ def gain_against_spread(main: pd.DataFrame, metrics: list[str]) -> str:
         mean = gains.reindex(places).mean()
         numbers = (gains[OVERALL], mean, shared.spread)
         total, there, spread = (f"{value:.{digits(metric, OVERALL)}f}{measure_of(metric).suffix}" for value in numbers)
-        compared = "larger than" if mean > shared.spread else "smaller than"
+        larger = "larger than" if mean > shared.spread else "smaller than"
+        compared = "equal to" if np.isclose(mean, shared.spread) else larger
         sentences.append(
             f"the gain in {measure_of(metric).label} is {total}; over the {shared.scenes} scenes that papers share it "
-            f"is {there}, {'equal to' if np.isclose(mean, shared.spread) else compared} the {spread} between papers"
+            f"is {there}, {compared} the {spread} between their averages"
         )
     return "; ".join(sentences)
 

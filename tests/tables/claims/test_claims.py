@@ -1,5 +1,7 @@
 """All claims against the published tables, and claims that are not written as they should be."""
 
+import re
+
 import pytest
 
 from tdgbench.tables.claims import CHECKS, claims_table, judge_claims, load_claims
@@ -19,8 +21,8 @@ def test_the_published_tables_against_the_words():
     assert found.loc["thermalmix-within", "published_seen"] == "at most -0.78 at Face"
     assert (found["ours"] == UNDECIDED).all()
     assert "the gain in PSNR is 0.24 dB; over the 7 scenes" in found.loc["better-overall", "published_seen"]
-    assert "smaller than the 0.012 between papers" in found.loc["lpips-better", "published_seen"]
-    assert "between papers" not in found.loc["time-percent", "published_seen"]
+    assert "smaller than the 0.012 between their averages" in found.loc["lpips-better", "published_seen"]
+    assert "between their averages" not in found.loc["time-percent", "published_seen"]
 
 
 def test_what_is_missing_is_undecided():
@@ -29,8 +31,10 @@ def test_what_is_missing_is_undecided():
     assert set(found.drop("bold-follows")) == {UNDECIDED}
 
 
-def test_every_check_has_a_claim():
+def test_every_check_has_a_claim_and_words_with_another_number_than_the_margin_say_what_is_tested():
     assert {claim.check for claim in load_claims()} == set(CHECKS)
+    numbers = [claim.said for claim in load_claims() if claim.margins and re.search(r"\d (dB|%)", claim.said)]
+    assert len(numbers) == 2 and all("tested is" in said for said in numbers)
 
 
 @pytest.mark.parametrize(
