@@ -169,6 +169,8 @@ def _problem(error: ErrorDetails, name: str) -> Problem:
         what = what.replace(phrase, shorter)
     if kind in WORDS:
         what = WORDS[kind]
+    elif kind == "list_type":
+        what = f"must be a valid list, such as {option}=[{value if isinstance(value, str) else 'a'}]"
     elif kind == "literal_error":
         what = what.replace("'", "")
     elif kind == "string_type" and isinstance(value, int | float):
@@ -182,7 +184,6 @@ WORDS = {  # by pydantic's type of error, where its own message does not name op
     "missing": "is missing",
     "extra_forbidden": UNKNOWN,
     "string_too_short": "must not be empty",
-    "list_type": "must be a valid list, such as [a]",
     "dict_type": "must be a group of options",
     "model_type": "must be a group of options",
 }

@@ -169,17 +169,16 @@ class FolderDataset(Outlines):
         return [p.name for p in listed(root) if not is_hidden(p.name) and self._can_be_scene(p)]
 
     def explain_missing(self, names: list[str]) -> str:
-        if not is_there(self._root()):
-            return f"{', '.join(names)} not found: {self._root()} does not exist; set data.root=DIR"
-        there = ", ".join(self.names())
-        if there and not any(is_folder(self._root() / name) for name in names):
-            return f"{', '.join(names)} not found in {self._root()}; scenes there: {there}"
-        layouts = "; ".join(layout.looks for layout in ([self.layout] if self.layout else LAYOUTS.values()))
-        return (
-            f"{', '.join(names)} not found in {self._root()} (scenes there: {there or 'none'}). Set data.root=DIR to a "
-            "scene or to a folder of scenes whose names do not begin with a dot; a scene is a folder with "
-            f"{layouts}"
-        )
+        root, there = self._root(), ", ".join(self.names())
+        if not is_there(root):
+            return f"{root} does not exist; set data.root=DIR"
+        if there and not any(is_folder(root / name) for name in names):
+            return f"{', '.join(names)} not found in {root}; scenes there: {there}"
+        layouts = f"`tdgbench data check {shlex.quote(str(root))}` lists the layouts"
+        hint = layouts if self.layout is None else f"a scene is a folder with {self.layout.looks}"
+        if not there:
+            return f"no scene in {root}; set data.root=DIR, where no name begins with a dot; {hint}"
+        return f"{', '.join(names)} not found in {root} (scenes there: {there}); {hint}"
 
     def describe(self, name: str | None) -> Description:
         root = self._root()

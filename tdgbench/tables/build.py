@@ -117,7 +117,8 @@ def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:
         known = *COLUMNS, *further(), *ASKED
         unknown = [name for name in options.columns if name not in known]
         if unknown:
-            raise ValueError(f"no column {', '.join(unknown)}; known are {', '.join(known)}")
+            own = "a metric of yours: `tdgbench score` first"
+            raise ValueError(f"no column {', '.join(unknown)} ({own}); known are {', '.join(known)}")
         tables = _ablation(results, options) if results.plan.table == "ablation" else _main(results, options)
         _write(tables)
     return tables

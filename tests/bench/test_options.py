@@ -52,7 +52,7 @@ WRONG = [
     ("metrics.ssim_border=nosuch", "metrics.ssim_border=nosuch: must be zero or valid"),
     ("metrics.lpips_range=nosuch", "metrics.lpips_range=nosuch: must be unit or signed"),
     ("metrics.lpips.net=nosuch", "metrics.lpips.net=nosuch: must be vgg, alex or squeeze"),
-    ("metrics.extra=edges.EDGE", "metrics.extra=edges.EDGE: must be a valid list, such as [a]"),
+    ("metrics.extra=edges.EDGE", "metrics.extra=edges.EDGE: must be a valid list, such as metrics.extra=[edges.EDGE]"),
     ("~metrics._target_", "metrics: lacks `_target_`: begin its file with `defaults: [CHOICE, _self_]`"),
     ("metrics.lpips=null", "metrics.lpips: may not be null; set its options: metrics.lpips.net, metrics.lpips.weights"),
     ("thermal_camera.estimate=3", "thermal_camera.estimate=3: must be a valid boolean"),

@@ -33,6 +33,12 @@ def test_names_of_digits(scenes):
         scenes.load(None)
     with pytest.raises(MissingScenesError, match=r"10 not found .*scenes there: 007, 1, 1_0, "):
         scenes.load("10")
+    (scenes.root / "empty").mkdir()
+    for root, said in (("empty", r"no scene in .*empty; .*; `tdgbench data check .*empty` lists the layouts"),
+                       ("nix", r"nix does not exist; set data\.root=DIR")):  # fmt: skip
+        for name in (None, "roof"):
+            with pytest.raises(MissingScenesError, match=f"{said}$"):
+                FolderDataset(str(scenes.root / root), ReadOptions()).load(name)
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,7 @@ def test_columns_are_chosen(tmp_path, capsys):
     assert "LPIPS↓" not in capsys.readouterr().out
     assert r"orbit & 0.800 & 20.00 \\" in (tmp_path / "tables" / "main.tex").read_text()
     assert main([str(tmp_path), "--columns", "psnr,ssm"]) == 1
-    assert "no column ssm; known are psnr, " in capsys.readouterr().err
+    assert "no column ssm (a metric of yours: `tdgbench score` first); known are psnr, " in capsys.readouterr().err
 
 
 def test_setups_leave_out_method_prior_seed_and_length():

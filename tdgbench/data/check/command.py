@@ -33,6 +33,8 @@ def run(arguments: argparse.Namespace) -> int:
     exists = is_there(arguments.root)
     if not exists:
         say(f"{arguments.root} does not exist", stderr=True)
+        if not arguments.json:
+            return 1
     checks = list(check_scenes(place, lambda name: say(name, "checking", "dim", stderr=True)))
     if exists and place.is_paper and all(check.status == "missing" for check in checks):
         say(f"no scene in {arguments.root}; a scene is a folder with one of (docs/data.md):", stderr=True)

@@ -90,13 +90,15 @@ def _scenes_of(cfg: DictConfig, by_dataset: Iterable[DictConfig]) -> tuple[list[
     """Return the scenes of each data set of a sweep, and the share of its cells whose scene is not on disk.
 
     Scenes that are not are printed. Cells with options that are not allowed fail by themselves: they are none of these.
-    Raises SceneError for an unknown scene.
+    Raises SceneError for an unknown scene; in a folder of captures, one that is not there.
     """
     scenes, missing, configs = list[Description](), 0.0, list(by_dataset)
     for one in filter(_is_allowed, configs):
         dataset: Dataset = instantiate(one.dataset.loader)
         described = [dataset.describe(name) for name in swept(cfg).get("scene") or [one.scene]]
         absent = dataset.missing([scene.scene for scene in described])
+        if not {*absent} <= {*dataset.names()}:
+            raise SceneError(dataset.explain_missing(absent))
         if absent:
             say(dataset.explain_missing(absent), "error:", stderr=True)
         scenes += described

@@ -41,6 +41,9 @@ def test_the_range_has_a_unit(tmp_path, small_gray_scene):
 
 def test_missing_and_broken_scenes_are_status_1(tmp_path, small_gray_scene):
     run = tdgbench_here(tmp_path, "data", "check", "data")
+    assert (run.returncode, run.stdout, run.stderr) == (1, "", "data does not exist\n")
+    (tmp_path / "data").mkdir()
+    run = tdgbench_here(tmp_path, "data", "check", "data")
     assert run.returncode == 1 and run.stdout.count("missing ") == 2 * 14 and "0 of 14 scenes can be used" in run.stdout
     folder = write_rgbt_scenes(small_gray_scene, tmp_path / "data" / "a[bold]b")
     (folder / "temperature.json").write_text("{}", encoding="utf-8")

@@ -54,15 +54,17 @@ def test_a_sweep_over_data_sets(tmp_path, data_root):
 
 
 def test_names_in_quotes_and_scenes_that_are_missing(tmp_path, small_scene):
-    """A folder of captures with an odd name; one scene of two is not there."""
+    """A folder of captures with an odd name; a sweep with a misspelt one runs nothing."""
     root = tmp_path / "captures"
     root.mkdir()
     (root / "1.10").symlink_to(small_scene.train[0].thermal_path.parents[1])
     sweep = ("dataset=folder", f"data.root={root}", "scene='1.10',absent", "method=3dgs", "budget=demo",
              "budget.iterations=3", "metrics.lpips.download=false")  # fmt: skip
     run = command_here(tmp_path, "-m", *sweep)
-    assert run.returncode == 1, run.stderr[-3000:]
-    assert "single: 2 cells, 1 of them without data\n" in run.stderr
+    assert run.returncode == 1 and run.stderr == f"error: absent not found in {root}; scenes there: 1.10\n"
+    assert not [*tmp_path.glob("results/*/tables")]
+    run = command_here(tmp_path, *sweep[:2], "scene='1.10'", *sweep[3:])
+    assert run.returncode == 0, run.stderr[-3000:]
 
 
 FAST = ("budget=demo", "budget.iterations=8", "metrics.lpips.download=false")
