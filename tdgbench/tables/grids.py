@@ -25,6 +25,7 @@ from tdgbench.tables.measures import (
     digits,
     further,
     measure_of,
+    own_metrics,
 )
 from tdgbench.tables.palette import is_marked, palette_notes, with_mark
 from tdgbench.tables.verdicts import UNDECIDED
@@ -32,6 +33,7 @@ from tdgbench.text import named
 
 SPREAD = "± is the standard deviation over seeds"
 TIMES = "times: training of all models of a method, an RGB model too, without making depth priors"
+FAILED = "failed: "  # how a reason of a user's metric begins that raised an error
 SCENE_KEYS = ["dataset", "scene", "method"]
 ERROR, RANGE_TITLE = "mae_degC", "range, °C"
 ABLATION_KEYS = ["method", "init", "metric"]
@@ -74,13 +76,22 @@ def _number_notes(main: pd.DataFrame) -> list[str]:
 
 
 def further_grid(main: pd.DataFrame) -> Grid | None:
-    """Return the other measures that a cell of a main table has, in the same form; None without any."""
-    known = set(main.loc[main["value"].notna(), "metric"])
+    """Return the other measures that a cell of a main table has, in the same form; None without any.
+
+    The user's metrics that failed are among them, as n/a.
+    """
+    known = {*main.loc[main["value"].notna(), "metric"], *failed_metrics(main)}
     metrics = [metric for metric in further() if metric in known]
     if not metrics:
         return None
     spread = [SPREAD] * bool(main.loc[main["metric"].isin(metrics), "std"].notna().any())
     return replace(main_grid(main, None, metrics), notes=[*spread, *palette_notes(main)])
+
+
+def failed_metrics(main: pd.DataFrame) -> list[str]:
+    """Return the user's metrics that raised an error in some row."""
+    failed = {*main.loc[main["reason"].str.startswith(FAILED), "metric"]}
+    return [metric for metric in own_metrics() if metric in failed]
 
 
 def ablation_grid(main: pd.DataFrame, difference: pd.DataFrame | None, notes: Sequence[str] = ()) -> Grid:

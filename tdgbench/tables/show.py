@@ -14,7 +14,7 @@ from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
 from tdgbench.tables.columns import own_columns
-from tdgbench.tables.grids import RANGE_TITLE, reasons_for_na
+from tdgbench.tables.grids import RANGE_TITLE, failed_metrics, reasons_for_na
 from tdgbench.tables.long_table import RANGE
 from tdgbench.tables.measures import ABLATION, HOURS, as_text, measure_of
 from tdgbench.tables.palette import MARK, with_mark
@@ -58,7 +58,8 @@ def show_tables(tables: Tables) -> None:
             _show_readings(tables.readings, tables.effects)
         else:
             _show_main(tables)
-        for note in (*tables.grid.notes, *reasons_for_na(tables.main, tables.grid.names)):
+        shown = [*tables.grid.names, *([] if tables.is_ablation else failed_metrics(tables.main))]
+        for note in (*tables.grid.notes, *reasons_for_na(tables.main, shown)):
             say(one_line(note))
     show_problems(tables.problems)
     show_doubts(doubts_of(tables.records))

@@ -7,10 +7,12 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from tdgbench.report.report_page import legend, published_section
+from tdgbench.cells.plan import MetricEntry, Plan
+from tdgbench.report.report_page import legend, published_section, write_report
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.grids import difference_note, further_grid
 from tdgbench.tables.measures import measure_of
+from tdgbench.tables.show import show_tables
 from tdgbench.text import duration
 from tests.helpers.records import write
 
@@ -26,6 +28,16 @@ def test_further_scores_are_those_that_a_cell_has(tmp_path):
     assert needs["depth error ↓"] == "true depth" and needs["PSNR, dB ↑"] == ""
     write(tmp_path / "plain", scene="orbit", dataset="synthetic")
     assert further_grid(build_tables(tmp_path / "plain").main) is None
+
+
+def test_a_metric_of_the_user_that_failed_is_told(tmp_path, capsys):
+    Plan(own_metrics={"boom": MetricEntry("Boom", "", "", 1, True, (None, None), "")}).write(tmp_path)
+    why = "failed: ValueError: 7 (boom.py, line 3)"
+    write(tmp_path, scene="orbit", dataset="folder", scores={"boom": None}, missing={"boom": why})
+    tables = build_tables(tmp_path)
+    show_tables(tables)
+    note = f"n/a: Boom (all rows): {why}"
+    assert note in capsys.readouterr().out.splitlines() and note in write_report(tables).read_text(encoding="utf-8")
 
 
 def test_hours_are_times_for_readers_and_numbers_on_disk(tmp_path):
