@@ -26,7 +26,7 @@ from tdgbench.tables.equal_data import equal_scenes
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.grids import ABLATION_KEYS, ablation_grid, main_grid
 from tdgbench.tables.latex import ablation_table, main_table
-from tdgbench.tables.likeness import Trainings, selected_notes, times_at_once
+from tdgbench.tables.likeness import Trainings, is_selected, selected_notes, times_at_once
 from tdgbench.tables.long_table import cell_rows, method_label, scene_rows, with_averages, with_protocols
 from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, KEYS, OVERALL, further
 from tdgbench.tables.palette import IMAGES, with_image_values
@@ -172,8 +172,8 @@ def _ablation(results: Results, options: TableOptions) -> Tables:
 def _write(tables: Tables) -> None:
     """Write every table that there is into the folder; remove those of cells that were removed."""
     found: dict[str, pd.DataFrame | None] = {
-        "main": tables.main, "readings": tables.readings, "effects": tables.effects, "difference": tables.difference,
-        "between_papers": tables.papers, "compared": None, "paired": None,
+        "main": _with_selected(tables), "readings": tables.readings, "effects": tables.effects,
+        "difference": tables.difference, "between_papers": tables.papers, "compared": None, "paired": None,
         "others": None if tables.papers is None or tables.is_ablation else against_others(tables.main),
         **comparison_tables(tables.comparisons),
     }  # fmt: skip
@@ -185,6 +185,15 @@ def _write(tables: Tables) -> None:
             write_text(tables.folder / f"{name}.csv", to_csv(table))
     write_text(tables.folder / "main.tex", tables.latex)
     write_text(tables.folder / "findings.txt", "".join(f"{sentence}\n" for sentence in tables.findings))
+
+
+def _with_selected(tables: Tables) -> pd.DataFrame:
+    """Return the main table; its column `training` tells scores that test views chose."""
+    selected = {COLUMN_OF(one.record) for one in tables.results.finished if is_selected(one.record)}
+    main, rows = tables.main.copy(), tables.main["method"].isin(selected)
+    told = [f"{text}; " * bool(text) + "checkpoint: chosen by test views" for text in main.loc[rows, "training"]]
+    main.loc[rows, "training"] = told
+    return main
 
 
 def _of_init(init: str, column: str) -> str:

@@ -87,6 +87,8 @@ def test_scores_that_test_views_chose_are_told_wherever_they_stand(tmp_path, cap
     note = "selected: TDg: its checkpoint was chosen by test views, so its scores are too high beside the others"
     show_tables(tables)
     assert note in capsys.readouterr().out.splitlines() and note in tables.latex
+    told = pd.read_csv(tmp_path / "tables" / "main.csv").groupby("method")["training"].unique()
+    assert told["tdg"].tolist() == ["checkpoint: chosen by test views"] and told["msmg"].isna().all()
     assert tables.findings[0].startswith(
         "TDg (checkpoint chosen by test views: its scores are too high) against MSMG on attic: PSNR "
     )
