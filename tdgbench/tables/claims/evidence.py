@@ -130,6 +130,14 @@ class ClaimEvidence:
         return set(self.main["dataset"]) - {""} <= set(DATASETS.values())
 
     @cached_property
+    def values(self) -> dict[tuple[str, str, str], list[float]]:
+        """The numbers of the main table that are there, by method, scene and metric."""
+        found: dict[tuple[str, str, str], list[float]] = {}
+        for row in self.main.dropna(subset=["value"]).itertuples():
+            found.setdefault((row.method, row.scene, row.metric), []).append(float(row.value))
+        return found
+
+    @cached_property
     def placed(self) -> list[tuple[str, Cell]]:
         """The cells, each with what it shares with those that it is compared with (`likeness.setups`)."""
         return list(zip(setups([cell.record for cell in self.cells]), self.cells, strict=True))

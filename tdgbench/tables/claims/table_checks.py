@@ -263,12 +263,10 @@ def _label(metric: str) -> str:
 
 
 def _value(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> float:
-    table = evidence.main
-    chosen = (table["method"] == method) & (table["scene"] == scene) & (table["metric"] == metric)
-    values = table[chosen]["value"].dropna()
+    values = evidence.values.get((method, scene, metric), [])
     if len(values) != 1:
         raise MissingError(f"no {_label(metric)} of {methods.label(method)} at {scene}")
-    return float(values.iloc[0])
+    return values[0]
 
 
 def _by_init(evidence: ClaimEvidence, method: str, metric: str) -> pd.Series:
