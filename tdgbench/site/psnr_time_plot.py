@@ -12,6 +12,7 @@ from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
 from tdgbench.present.figures import as_svg, plain
 from tdgbench.site.packed import SCORES, BoardRow
+from tdgbench.tables.likeness import machine_in_words
 from tdgbench.tables.measures import HOURS
 from tdgbench.text import duration, shortened
 
@@ -38,9 +39,8 @@ def plots(rows: Sequence[BoardRow]) -> list[tuple[str, str]]:
         (plot([(row.label, row.pack.name if columns[row.column] > 1 else "") for row in group],
               *np.array([[row.scores[TIME].value * 3600, row.scores[PSNR].value, *row.psnr_interval]
                          for row in group]).T),
-         f"{where}, on one machine ({cpu if gpu == 'None' else gpu}, threads: {threads}, cells at once: "
-         f"{'not recorded' if at_once == 'None' else at_once})")
-        for (cpu, gpu, threads, at_once), group in by_machine.items() if len(group) > 1
+         f"{where}, on one machine ({machine_in_words(machine)})")
+        for machine, group in by_machine.items() if len(group) > 1
     ]  # fmt: skip
 
 

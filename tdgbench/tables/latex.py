@@ -18,7 +18,7 @@ from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
 from tdgbench.tables.findings import given_priors
 from tdgbench.tables.grids import ERROR, reasons_for_na
-from tdgbench.tables.likeness import RANK_UNLIKE
+from tdgbench.tables.likeness import RANK_UNLIKE, machine, machine_in_words
 from tdgbench.tables.long_table import RANGE, initial_points, method_label, planned_iterations, protocol_notes
 from tdgbench.tables.measures import ABLATION, ABLATION_PAIRS, AVERAGE, HOURS, MAIN_COLUMNS, OVERALL, digits, measure_of
 from tdgbench.tables.palette import MARK
@@ -84,8 +84,11 @@ def _below(note: str) -> str:
     return (LATEX_MARK if note.startswith(MARK) else "") + escape(note.removeprefix(MARK))
 
 
-def setup_notes(records: Sequence[Record]) -> list[str]:
-    """Return what has to be known of the trainings behind a table: scenes, priors, seeds, budget, LPIPS, machine."""
+def setup_notes(records: Sequence[Record], timed: bool) -> list[str]:
+    """Return what has to be known of the trainings behind a table: scenes, priors, seeds, budget, LPIPS, machine.
+
+    timed: the table has times.
+    """
     if not records:
         return []
     built_in = any(is_built_in(record.dataset) for record in records)
@@ -100,7 +103,9 @@ def setup_notes(records: Sequence[Record]) -> list[str]:
         "LPIPS network": [
             record.setting("metrics.lpips.net") for record in records if record.scores.get("lpips") is not None
         ],
-        "machine of the times": [record.environment.get("cpu") for record in records],
+        "machine of the times": [
+            machine_in_words(machine(one)) for one in records if timed and one.environment and one.seconds.get("train")
+        ],
     }
     listed = {name: named(str(value) for value in values if value) for name, values in facts.items()}
     said = [f"{name}: {values}" for name, values in listed.items() if values]
@@ -137,7 +142,7 @@ def main_table(main: pd.DataFrame, grid: Grid, columns: Sequence[str] = (), reco
         values = [_number(rows[m].cells[i], grid.names[i], scene, unit) for m in labels for i in at]
         lines.append(f"{_row_title(scene)}{_range(rows.values(), grid)}{mark} & {' & '.join(values)} \\\\")
     comments = protocol_notes(main)
-    notes = [*grid.notes, *reasons_for_na(main, measures), *setup_notes(records)]
+    notes = [*grid.notes, *reasons_for_na(main, measures), *setup_notes(records, HOURS.name in measures)]
     below = [note for note in notes if note not in comments]
     return tabular("l" + "c" * (width - 1), _heads(labels, measures, unit), lines, comments, below)
 
@@ -162,7 +167,7 @@ def ablation_table(main: pd.DataFrame, grid: Grid, records: Sequence[Record] = (
             lines.append(f"{escape(methods.label(method))}{mark} & {marks} & {pairs} \\\\")
     heads = [rf" & Random & COLMAP & {parts} \\"]
     comments = initial_points(main)
-    below = [note for note in (*grid.notes, *setup_notes(records)) if note not in comments]
+    below = [note for note in (*grid.notes, *setup_notes(records, timed=False)) if note not in comments]
     return tabular("lcc" + "c" * len(ABLATION_PAIRS), heads, lines, comments, below)
 
 

@@ -27,6 +27,7 @@ OF_A_COLUMN = ("method.", "init.")  # options that agree within a column
 OF_A_SCENE = ("scene's files", "image size", "range, °C")  # may differ between the scenes of an average
 # Of times: names in `environment` of records.
 MACHINE = {"processor": "cpu", "GPU": "gpu", "threads": "threads", "cells at once": "cells_at_once"}
+ON_CPU = ("cpu", "reference")  # backends that leave a GPU idle
 OF_SCORES = "metrics."
 NAMED = ("budget", "prior")  # groups whose name stands for all their options
 OWN = {  # options of budgets that a method's file states, by which key; their values in budget=paper if it does not
@@ -149,8 +150,18 @@ def setups(records: Sequence[Record], timed: bool = False, with_length: bool = F
 
 
 def machine(record: Record) -> tuple[str, ...]:
-    """Return the hardware that a cell's times depend on."""
-    return tuple(str(record.environment.get(name)) for name in MACHINE.values())
+    """Return what a cell's times depend on, a text for each of MACHINE; `None` where it is not recorded."""
+    return tuple(map(str, _of_machine(record).values()))
+
+
+def machine_in_words(machine: tuple[str, ...]) -> str:
+    """Return a cell's `machine` as readers see it.
+
+    >>> machine_in_words(("Xeon", "None", "2", "None"))
+    'Xeon, threads: 2, cells at once: not recorded'
+    """
+    cpu, gpu, threads, at_once = ("not recorded" if text == "None" else text for text in machine)
+    return f"{cpu if machine[1] == 'None' else gpu}, threads: {threads}, cells at once: {at_once}"
 
 
 def times_at_once(records: Iterable[Record]) -> list[str]:
@@ -261,9 +272,16 @@ def _traits_of(record: Record) -> dict[str, object]:
         "protocol": record.protocol_number, "backend": "" if record.made_elsewhere else record.backend,
         "scene's files": record.scene_files, "image size": record.assumed.get("size", ""),
         "range, °C": " to ".join(f"{end:g}" for end in record.temperature_range or ()),
-        **{name: record.environment.get(stored) for name, stored in MACHINE.items()},
+        **_of_machine(record),
     }  # fmt: skip
     return traits | {name: value for name, value in others.items() if value}
+
+
+def _of_machine(record: Record) -> dict[str, object]:
+    """Return what a cell's times depend on, by its name in print. A GPU counts by its name, where it trained."""
+    found = {name: record.environment.get(stored) for name, stored in MACHINE.items()}
+    gpu = None if record.backend in ON_CPU else found["GPU"]
+    return found | {"GPU": gpu.get("name") if isinstance(gpu, dict) else gpu}
 
 
 def version(record: Record) -> str:

@@ -10,7 +10,8 @@ from omegaconf import OmegaConf
 
 from tdgbench.resources import conf_folder
 from tdgbench.tables.build import TableOptions, Tables, build_tables
-from tdgbench.tables.likeness import OWN, setups
+from tdgbench.tables.latex import setup_notes
+from tdgbench.tables.likeness import OWN, machine, machine_in_words, setups
 from tdgbench.tables.tables_command import main
 from tests.helpers.records import record, write
 
@@ -111,6 +112,19 @@ def test_the_machine_splits_times_alone(tmp_path, key, name):
     tables = run(tmp_path, {"msmg": {"environment": {key: 2}}, "tdg": {"environment": {key: 1}}})
     assert f"unlike trainings, of times alone: {name}: 2 (MSMG), 1 (TDg)" in tables.notes
     assert bold(tables) == {"tdg"} and not bold(tables, "train_hours")
+
+
+@pytest.mark.parametrize(("backend", "name"), [("warp", "NVIDIA H200"), ("cpu", "Xeon")])
+def test_a_machine_has_the_name_of_what_trained(backend, name):
+    """Whatever else is known of the GPU, and whether or not there is one where the CPU trained."""
+    one, other = (
+        record(backend=backend, seconds={"train": 9.0}, environment={"cpu": "Xeon", "threads": 4, "gpu": gpu})
+        for gpu in ({"name": "NVIDIA H200", "driver": "570"}, {"name": "NVIDIA H200", "driver": "580"})
+    )
+    assert len({*setups([one, other], timed=True)}) == len({machine(one), machine(other)}) == 1
+    said = f"{name}, threads: 4, cells at once: not recorded"
+    assert machine_in_words(machine(one)) == said and f"machine of the times: {said}" in setup_notes([one], True)[-1]
+    assert "machine" not in setup_notes([one], False)[-1]
 
 
 def test_a_mean_over_unlike_trainings_is_na(tmp_path):
