@@ -27,7 +27,7 @@ from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.grids import ABLATION_KEYS, ablation_grid, main_grid
 from tdgbench.tables.latex import ablation_table, main_table
 from tdgbench.tables.likeness import Trainings, is_selected, selected_notes, times_at_once
-from tdgbench.tables.long_table import cell_rows, method_label, scene_rows, with_averages, with_protocols
+from tdgbench.tables.long_table import cell_rows, is_random, method_label, scene_rows, with_averages, with_protocols
 from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, KEYS, OVERALL, further
 from tdgbench.tables.palette import IMAGES, with_image_values
 from tdgbench.tables.published import published_ablation, published_main
@@ -162,7 +162,7 @@ def _ablation(results: Results, options: TableOptions) -> Tables:
     difference = None
     if of_paper:
         published = published_ablation()  # its row of random points is that of each kind, as the paper names none
-        random, kinds = published[published["init"] == "random"], {*main["init"]} - {*published["init"]}
+        random, kinds = published[published["init"] == "random"], {*filter(is_random, main["init"])} - {"random"}
         published = pd.concat([published, *(random.assign(init=kind) for kind in sorted(kinds))])
         difference = against_published(main, published, ABLATION_KEYS)
     findings = findings_of_ablation(main, difference, [cell.record for cell in results.finished])
@@ -209,7 +209,7 @@ def ablation_rows(records: list[Record], plan: Plan, trainings: Trainings) -> tu
     """
     parts, seeds = [], []
     inits = dict.fromkeys([*plan.inits, *(r.init for r in records)]) or INITS
-    for init in sorted({*INITS, *inits}, key=lambda name: (not name.startswith("random"), name)):
+    for init in sorted({*INITS, *inits}, key=lambda name: (not is_random(name), name)):
         cells = cell_rows(records, plan, init)
         rows = with_averages(scene_rows(cells))
         origins = dict.fromkeys(str(r.init_points["how"]) for r in records if r.init == init and "how" in r.init_points)

@@ -19,7 +19,14 @@ from tdgbench.tables import methods
 from tdgbench.tables.findings import given_priors
 from tdgbench.tables.grids import ERROR, reasons_for_na
 from tdgbench.tables.likeness import RANK_UNLIKE, machine, machine_in_words
-from tdgbench.tables.long_table import RANGE, initial_points, method_label, planned_iterations, protocol_notes
+from tdgbench.tables.long_table import (
+    RANGE,
+    initial_points,
+    is_random,
+    method_label,
+    planned_iterations,
+    protocol_notes,
+)
 from tdgbench.tables.measures import ABLATION, ABLATION_PAIRS, AVERAGE, HOURS, MAIN_COLUMNS, OVERALL, digits, measure_of
 from tdgbench.tables.palette import MARK
 from tdgbench.text import named, one_line
@@ -150,9 +157,10 @@ def main_table(main: pd.DataFrame, grid: Grid, columns: Sequence[str] = (), reco
 def ablation_table(main: pd.DataFrame, grid: Grid, records: Sequence[Record] = ()) -> str:
     """Return a `tabular` as the paper's Table 2: methods × inits down, PSNR / SSIM of views and models across.
 
-    Several kinds of random points are named. grid: `ablation_grid` of the ablation. records: of the finished cells.
+    Several kinds of random points are named, and points that are neither. grid: `ablation_grid` of the ablation.
+    records: of the finished cells.
     """
-    several = sum(init.startswith("random") for init in {row.place[1] for row in grid.rows}) > 1
+    several = sum(map(is_random, {row.place[1] for row in grid.rows})) > 1
     parts = " & ".join(measure_of(psnr).images or "PSNR / SSIM" for psnr, _ in ABLATION_PAIRS)
     lines = []
     for method, rows in groupby(grid.rows, key=lambda row: row.place[0]):
@@ -160,8 +168,9 @@ def ablation_table(main: pd.DataFrame, grid: Grid, records: Sequence[Record] = (
         for row in rows:
             init, cells = row.place[1], dict(zip(ABLATION, row.cells, strict=True))
             kind = init.removeprefix("random").strip("_") or "cameras"
-            random = r"$\checkmark$" + (f" ({escape(kind)})" if several else "")
-            marks = rf"{random} & $\times$" if init.startswith("random") else r"$\times$ & $\checkmark$"
+            named_random = f" ({escape(kind)})" if several else ""
+            colmap = r"$\checkmark$" if init == "colmap" else rf"$\times$ ({escape(init)})"
+            marks = rf"$\checkmark${named_random} & $\times$" if is_random(init) else rf"$\times$ & {colmap}"
             pairs = " & ".join(_pair(cells, names) for names in ABLATION_PAIRS)
             mark = LATEX_MARK if row.is_marked else ""
             lines.append(f"{escape(methods.label(method))}{mark} & {marks} & {pairs} \\\\")

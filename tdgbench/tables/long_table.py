@@ -37,6 +37,15 @@ def method_label(record: Record, with_init: bool) -> str:
     return label + (f" [{record.variant}]" if record.variant else "")
 
 
+def is_random(init: str) -> bool:
+    """Return whether initial points of this name are random ones, of whatever kind.
+
+    >>> is_random("random_box"), is_random("mvs_thermal")
+    (True, False)
+    """
+    return init == "random" or init.startswith("random_")
+
+
 def metric_value(record: Record, metric: str) -> tuple[float, str]:
     """Return the value (NaN for n/a), and the reason for n/a."""
     if record.failure is not None:

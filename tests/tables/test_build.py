@@ -72,9 +72,9 @@ def test_ablation(tmp_path):
 def test_each_kind_of_random_points_is_held_against_the_published_one(tmp_path):
     write_ablation(tmp_path)
     for record in read_all(tmp_path):
-        if record.init == "random":
+        for init in ("random_box", "mvs_thermal") if record.init == "random" else ():
             write(
-                tmp_path, record.method, record.scene, dataset=record.dataset, init="random_box",
+                tmp_path, record.method, record.scene, dataset=record.dataset, init=init,
                 scores={**record.scores, "rgb_psnr": 12.5, "rgb_ssim": 0.5}, train_scores=record.train_scores,
             )  # fmt: skip
     Plan("ablation").write(tmp_path)
@@ -84,6 +84,7 @@ def test_each_kind_of_random_points_is_held_against_the_published_one(tmp_path):
     assert found.loc[("tdg", "random_box"), "published"] == found.loc[("tdg", "random"), "published"] == 9.69
     assert r"MSMG & $\checkmark$ (box) & $\times$ & 9.64 / 0.3471" in tables.latex and "12.50 / 0.5000" in tables.latex
     assert r"MSMG & $\checkmark$ (cameras)" in tables.latex
+    assert r"MSMG & $\times$ & $\times$ (mvs\_thermal) & 9.64" in tables.latex  # no points of the paper's
 
 
 def test_both_splits_in_one_sweep_are_told_apart(tmp_path):

@@ -34,6 +34,7 @@ from tdgbench.tables.claims.evidence import (
     on_built_in,
 )
 from tdgbench.tables.claims.quantities import QUANTITIES, Quantity
+from tdgbench.tables.long_table import is_random
 from tdgbench.tables.results import Cell
 from tdgbench.tables.statistics import with_interval
 from tdgbench.text import named
@@ -77,7 +78,7 @@ def better_init(claim: Claim, evidence: ClaimEvidence) -> Finding:
     Each kind of random points is judged separately. margins: as in `better`.
     """
     _need_cells(claim, evidence)
-    inits = dict.fromkeys(c.record.init for c in evidence.cells if c.record.init.startswith("random"))
+    inits = dict.fromkeys(c.record.init for c in evidence.cells if is_random(c.record.init))
     if not inits:
         raise MissingError("no cells from random points")
     sides = [(Side(method, COLMAP), Side(method, init)) for method in claim.methods for init in inits]
