@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -23,7 +24,7 @@ from tdgbench.scenes.synthetic import SyntheticDataset
 from tdgbench.text import first_few
 from tdgbench.verify.problems import NotCheckedError
 
-BUILT_IN = "tdgbench.scenes.synthetic.SyntheticDataset"
+BUILT_IN = "tdgbench.scenes.synthetic.SyntheticDataset"  # its loader decides: a record may give any title
 MOST_MADE = 2**26  # pixels of all views of the built-in scenes that are made again, those of 87 default ones
 MOST_POINTS = 10**5  # of one of them
 NAME_IT = "name the folder of its data with --data DIR"
@@ -33,7 +34,7 @@ class TrueData:
     """The ground truth of test views as the data give it."""
 
     def __init__(self, folder: Path | None, scratch: Path) -> None:
-        """folder: of the data sets; None: built-in scenes alone, which are made in `scratch`."""
+        """folder: of the data sets; None: built-in scenes alone. Those are made in `scratch`, whatever the folder."""
         self._folder, self._scratch = folder, scratch
         self._read: dict[str, dict[str, np.ndarray]] = {}
         self._left = MOST_MADE
@@ -43,17 +44,23 @@ class TrueData:
 
         Raises NotCheckedError where there are no data, ValueError or SceneError for data that cannot be read.
         """
-        loader = record.setting("dataset")
-        is_built_in = isinstance(loader, dict) and loader.get("_target_") == BUILT_IN
-        root = self._folder or (self._scratch if is_built_in else None)
-        if root is None or not isinstance(loader, dict):
+        stated = record.setting("dataset")
+        loader = deepcopy(stated) if isinstance(stated, dict) else {}
+        reader = loader
+        while isinstance(reader.get("inner"), dict):  # of a data set that changes another one
+            reader = reader["inner"]
+        is_built_in = reader.get("_target_") == BUILT_IN
+        root = self._scratch if is_built_in else self._folder
+        if root is None or not loader:
             raise NotCheckedError(NAME_IT)
-        key = json.dumps([loader, record.scene, record.channels], sort_keys=True)
+        key = json.dumps([stated, record.scene, record.channels], sort_keys=True)
         if key not in self._read:
             if is_built_in:
-                self._spend(loader)
-            outline = outline_of(built(_with_root(loader, str(root), record.channels), known_classes("dataset")),
-                                 record.scene)  # fmt: skip
+                self._spend(reader)
+            reader["root"] = str(root)
+            if record.channels and isinstance(reader.get("options"), dict):
+                reader["options"]["channels"] = record.channels
+            outline = outline_of(built(loader, known_classes("dataset")), record.scene)
             for view in outline.scene.test:  # before one is read, which its options may enlarge
                 if view.camera.width * view.camera.height > MOST_PIXELS:
                     raise ValueError(f"{view.name} would have {view.camera.width}×{view.camera.height} px")
@@ -106,12 +113,3 @@ def data_problems(cell: CellFolder, data: TrueData) -> Iterator[str]:
     if other:
         scene = f"{cell.record.dataset}/{cell.record.scene}"
         yield f"the ground truth of {len(other)} of {len(views)} test views is not that of {scene}: {first_few(other)}"
-
-
-def _with_root(loader: dict[str, Any], root: str, channels: int) -> dict[str, Any]:
-    """Return the options of a loader, or of the innermost in it, with the folder of its data and its channels."""
-    if isinstance(loader.get("inner"), dict):
-        return {**loader, "inner": _with_root(loader["inner"], root, channels)}
-    options = loader.get("options")
-    known = {**options, "channels": channels} if isinstance(options, dict) and channels else options
-    return {**loader, "root": root, "options": known}

@@ -70,6 +70,20 @@ def test_what_was_not_compared_is_said(forged, small_results, tmp_path, capsys, 
         verify(small_results, data=tmp_path / "none")
 
 
+@pytest.mark.parametrize("is_named", [False, True])
+def test_a_built_in_scene_inside_another_data_set_is_made_again(is_named, small_results, tmp_path, monkeypatch):
+    """In a scratch folder, even where --data names one, and as any other one counted."""
+    record = read_record(small_results / OURS)
+    errors = {"_target_": "tdgbench.scenes.synthetic.ThermalErrors", "walk_degC": 4.0}
+    drifting = {"_target_": "tdgbench.scenes.synthetic.drifting.DriftingDataset", "errors": errors}
+    record.config["dataset"] = {**drifting, "inner": record.config["dataset"]}
+    with truth.true_data(tmp_path if is_named else None) as data:
+        assert data.truth_of(record).keys() == record.truth.keys() and not list(tmp_path.iterdir())
+    monkeypatch.setattr(truth, "MOST_MADE", 1000)
+    with truth.true_data(None) as data, pytest.raises(truth.NotCheckedError, match="takes long"):
+        data.truth_of(record)
+
+
 def test_large_built_in_scenes_are_not_made_again(small_results, tmp_path, monkeypatch):
     shutil.copytree(small_results / OURS, tmp_path / "a" / OURS)
     content = json.loads((tmp_path / "a" / OURS / "record.json").read_text())
