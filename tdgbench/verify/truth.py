@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,15 @@ from tdgbench.verify.problems import NotCheckedError
 BUILT_IN = "tdgbench.scenes.synthetic.SyntheticDataset"  # its loader decides: a record may give any title
 MOST_MADE = 2**26  # pixels of all views of the built-in scenes that are made again, those of 87 default ones
 MOST_POINTS = 10**5  # of one of them
+MAX_DEGC = 1e-3  # between ends of ranges: processors round differently
 NAME_IT = "name the folder of its data with --data DIR"
+
+
+class Truth(NamedTuple):
+    """What the data say of a scene. images: ground truth of each test view. range: °C of 0 and 1, if it is known."""
+
+    images: dict[str, np.ndarray]
+    range: list[float] | None
 
 
 class TrueData:
@@ -36,11 +44,11 @@ class TrueData:
     def __init__(self, folder: Path | None, scratch: Path) -> None:
         """folder: of the data sets; None: built-in scenes alone. Those are made in `scratch`, whatever the folder."""
         self._folder, self._scratch = folder, scratch
-        self._read: dict[str, dict[str, np.ndarray]] = {}
+        self._read: dict[str, Truth] = {}
         self._left = MOST_MADE
 
-    def truth_of(self, record: Record) -> dict[str, np.ndarray]:
-        """Return the ground truth of each test view of a record's scene.
+    def truth_of(self, record: Record) -> Truth:
+        """Return the ground truth of a record's scene.
 
         Raises NotCheckedError where there are no data, ValueError or SceneError for data that cannot be read.
         """
@@ -64,7 +72,10 @@ class TrueData:
             for view in outline.scene.test:  # before one is read, which its options may enlarge
                 if view.camera.width * view.camera.height > MOST_PIXELS:
                     raise ValueError(f"{view.name} would have {view.camera.width}×{view.camera.height} px")
-            self._read[key] = {view.name: truth_of(view) for view in outline.read().test}
+            scene = outline.read()
+            span = scene.temperature if scene.channels == 1 else None
+            images = {view.name: truth_of(view) for view in scene.test}
+            self._read[key] = Truth(images, None if span is None else [span.min, span.max])
         return self._read[key]
 
     def _spend(self, loader: dict[str, Any]) -> None:
@@ -100,10 +111,10 @@ def truth_problems(cell: CellFolder) -> Iterator[str]:
 
 
 def data_problems(cell: CellFolder, data: TrueData) -> Iterator[str]:
-    """Yield test views whose ground truth is not that of the data. Raises as `TrueData.truth_of`."""
-    views = list(cell.test_cameras)
+    """Yield test views whose ground truth is not that of the data, and another range. Raises as `TrueData.truth_of`."""
+    views, record = list(cell.test_cameras), cell.record
     try:
-        truth = data.truth_of(cell.record)
+        truth, span = data.truth_of(record)
     except SceneError as error:
         raise ValueError(str(error)) from error
     unknown = set(views) ^ set(truth)
@@ -111,5 +122,8 @@ def data_problems(cell: CellFolder, data: TrueData) -> Iterator[str]:
         yield f"its test views are not those of the data: {first_few(unknown)}"
     other = [view for view in views if view in truth and not same_truth(cell.truth(view), truth[view])]
     if other:
-        scene = f"{cell.record.dataset}/{cell.record.scene}"
+        scene = f"{record.dataset}/{record.scene}"
         yield f"the ground truth of {len(other)} of {len(views)} test views is not that of {scene}: {first_few(other)}"
+    stated = record.temperature_range
+    if not (stated == span or (stated and span and np.allclose(stated, span, rtol=0, atol=MAX_DEGC))):
+        yield f"temperature_range is {stated}, by the data {span}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,8 +52,11 @@ def forge(cell: Path) -> None:
 
 
 def test_a_forged_truth_is_found_by_the_data(forged):
+    """So is a range that would show other temperatures."""
+    replace(read_record(forged / OURS), temperature_range=[14.0, 60.0]).write(forged / OURS)
     problems = verify(forged).problems
     found = [problem for problem in problems if "test views is not that of synthetic/turntable" in problem]
+    assert any("temperature_range is [14.0, 60.0], by the data [14.0, 50.0]" in problem for problem in problems)
     assert len(found) == 1 and read_record(forged / OURS).scores["psnr"] > 45
     assert not any(": psnr of" in problem or "is not the ground truth" in problem for problem in problems)  # it fits
 
@@ -78,7 +82,7 @@ def test_a_built_in_scene_inside_another_data_set_is_made_again(is_named, small_
     drifting = {"_target_": "tdgbench.scenes.synthetic.drifting.DriftingDataset", "errors": errors}
     record.config["dataset"] = {**drifting, "inner": record.config["dataset"]}
     with truth.true_data(tmp_path if is_named else None) as data:
-        assert data.truth_of(record).keys() == record.truth.keys() and not list(tmp_path.iterdir())
+        assert data.truth_of(record).images.keys() == record.truth.keys() and not list(tmp_path.iterdir())
     monkeypatch.setattr(truth, "MOST_MADE", 1000)
     with truth.true_data(None) as data, pytest.raises(truth.NotCheckedError, match="takes long"):
         data.truth_of(record)
