@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -137,20 +138,25 @@ def _trainer_of(record: Record, cameras: Cameras) -> Trainer:
     method = method_of(record)
     if not method.trains and method.renders_plain_gaussians:  # it would read the file that its options name
         raise ValueError(f"method {record.method} has no parts, and {PARTS_FILE} holds some")
-    context = Context(_scene_of(record, cameras), _POINTS, {}, _budget_of(record), "cpu", 0)
+    context = Context(_scene_of(record, cameras), _POINTS, {}, budget_of(record), "cpu", 0)
     trial = record.thermal_camera.get("rig", {})  # of `thermal_camera.rig=auto`
     context.learns_rig = trial.get("pays", bool(record.setting("thermal_camera.rig")))
     return Trainer(method, context)
 
 
-def _budget_of(record: Record) -> Budget:
-    """Return the budget without rules: there are no images that they could look at."""
+def budget_of(record: Record) -> Budget:
+    """Return the budget without rules, for which there are no images here; raises ValueError if it cannot be read."""
     options = {**(record.setting("budget") or {}), "background": "black"}
     options |= dict.fromkeys(RULES)
     try:
-        return TypeAdapter(Budget).validate_python(_without_targets(options))
+        return _budgets().validate_python(_without_targets(options))
     except ValidationError as error:
         raise ValueError(f"the record's budget cannot be read: {error.errors()[0]['msg']}") from error
+
+
+@cache
+def _budgets() -> TypeAdapter[Budget]:
+    return TypeAdapter(Budget)
 
 
 def _without_targets(options: Any) -> Any:

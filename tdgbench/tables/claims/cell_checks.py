@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from tdgbench.cells.renders import budget_of
 from tdgbench.tables import methods
 from tdgbench.tables.claims import table_checks
 from tdgbench.tables.claims.cell_pairs import (
@@ -165,10 +166,13 @@ def _with_notes(finding: Finding, notes: Iterable[str], compared: Iterable[Itera
 
 
 def _has_density_control(cell: Cell) -> bool:
-    """Return whether a training was long enough for its density control to have begun."""
-    start, every = (cell.record.setting(f"budget.density.{name}") for name in ("start", "every"))
-    known = isinstance(start, int) and isinstance(every, int)
-    return not known or cell.planned_iterations // every * every > start
+    """Return whether a training was long enough for a round of density control; True where its rules are not known."""
+    try:
+        rules = budget_of(cell.record).density
+    except ValueError:
+        return True
+    first = (rules.start // rules.every + 1) * rules.every
+    return rules.is_round(first, cell.planned_iterations)
 
 
 def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[CellPair]) -> list[Finding]:

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
+from tdgbench.cells.renders import budget_of
 from tdgbench.scoring import METRICS
 from tdgbench.tables.claims.evidence import Claim
 from tdgbench.tables.long_table import metric_value
@@ -154,8 +155,10 @@ def _around_switch(cell: Cell, window: float, column: str) -> tuple[pd.Series, p
     share = cell.record.setting("method.method.decay_end")
     if log is None or not isinstance(share, int | float) or column not in log:
         return None
-    expected = cell.record.setting("budget.expected_iterations")
-    length = min(cell.planned_iterations, expected) if isinstance(expected, int) else cell.planned_iterations
+    try:
+        length = budget_of(cell.record).schedule_length
+    except ValueError:
+        length = cell.planned_iterations
     switch, width = int(share * length), window * length
     before = log.loc[log["iteration"].between(switch - width, switch, inclusive="left"), column]
     after = log.loc[log["iteration"].between(switch, switch + width), column]

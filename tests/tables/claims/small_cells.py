@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from omegaconf import OmegaConf
 
 from tdgbench.cells.record import Record
+from tdgbench.resources import conf_folder
 from tdgbench.tables.claims.evidence import ClaimEvidence
 from tdgbench.tables.published import published_main
 from tdgbench.tables.results import Cell
@@ -42,6 +44,11 @@ def cell(folder: Path, method="tdg", gain=0.0, *, scene="a", seed=0, init="colma
     views = pd.DataFrame({"view": ["v1", "v2"], "depth_inconsistency": [0.1 * less, "n/a"]})
     views.to_csv(place / "views.csv", index=False)
     return Cell(place, record)
+
+
+def paper_budget(**options) -> dict:
+    """`budget=paper` as records have it."""
+    return OmegaConf.to_container(OmegaConf.load(conf_folder() / "budget" / "paper.yaml"), resolve=True) | options
 
 
 def write_log(folder: Path, gain: float, iterations: int) -> None:

@@ -11,7 +11,7 @@ from tdgbench.cells.record import Record
 from tdgbench.tables.claims.evidence import Claim
 from tdgbench.tables.claims.quantities import QUANTITIES, first_at, loss_rise, psnr_drop, time_to_level
 from tdgbench.tables.results import Cell
-from tests.tables.claims.small_cells import cell
+from tests.tables.claims.small_cells import cell, paper_budget
 
 CLAIM = Claim(id="", said="", where="", check="better", level=0.95, window=0.05)
 
@@ -116,7 +116,7 @@ def test_the_shock_is_looked_for_around_the_switch_alone(tmp_path):
 
 def test_the_switch_is_that_of_a_budget_that_expects_an_early_end(tmp_path):
     cell = with_log(tmp_path, "x", [20, 20, 30, 5, 34, 32, 31, 40, 40, 40])
-    cell.record.config["budget"]["expected_iterations"] = 60  # the switch at 30
+    cell.record.config["budget"] = paper_budget(iterations=100, expected_iterations=60)  # the switch at 30
     assert psnr_drop(cell, replace(CLAIM, window=0.2)) == 20 - 5
 
 
