@@ -177,6 +177,12 @@ def _folder_name(name: str) -> str:
 
 
 def _backend(name: str) -> str:
+def _one_word(name: str) -> str:
+    if any(c.isspace() or c in "()[]" for c in name):
+        raise ValueError("must be one word without brackets: tables print initial points and options behind it")
+    return name
+
+
     choices = ["auto", *backend_names()]
     if name not in choices:
         raise ValueError(f"must be {', '.join(choices[:-1])} or {choices[-1]}")
@@ -214,7 +220,7 @@ class _Dataset(_PlugIn):
 
 
 class _Init(_PlugIn):
-    name: Annotated[str, Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1), AfterValidator(_one_word)]
     points: dict[str, Any]
 
 
@@ -225,7 +231,7 @@ class _Prior(_PlugIn):
 
 
 class _Method(_PlugIn):
-    name: Annotated[str, Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1), AfterValidator(_one_word)]
     label: Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)] | None = None
     order: int | None = None
     compared_with: str | None = None

@@ -76,6 +76,8 @@ WRONG = [
     ("data.root=${nowhere}", "data.root: Interpolation key 'nowhere' not found"),
     ("method.name=''", "method.name='': must not be empty"),
     ("init.name=''", "init.name='': must not be empty"),
+    ("method.name='tdg fast'", "method.name=tdg fast: must be one word without brackets"),
+    ("init.name='a(b)'", "init.name=a(b): must be one word without brackets"),
     ("name=''", "name='': must be the name of one folder"),
     ("name=a/b", "name=a/b: must be the name of one folder"),
     ("name=../x", "name=../x: must be the name of one folder"),
