@@ -29,6 +29,7 @@ from tdgbench.bench.signature import (
 )
 from tdgbench.cells.key import flat
 from tdgbench.cells.plan import LONGEST_LABEL, method_entries
+from tdgbench.cells.prior_sources import PriorSource
 from tdgbench.cells.record import LARGEST
 from tdgbench.scenes.modalities import LABELS
 from tdgbench.splats.backends import backend_names
@@ -176,13 +177,13 @@ def _folder_name(name: str) -> str:
     return name
 
 
-def _backend(name: str) -> str:
 def _one_word(name: str) -> str:
     if any(c.isspace() or c in "()[]" for c in name):
         raise ValueError("must be one word without brackets: tables print initial points and options behind it")
     return name
 
 
+def _backend(name: str) -> str:
     choices = ["auto", *backend_names()]
     if name not in choices:
         raise ValueError(f"must be {', '.join(choices[:-1])} or {choices[-1]}")
@@ -226,7 +227,7 @@ class _Init(_PlugIn):
 
 class _Prior(_PlugIn):
     name: Annotated[str, Field(min_length=1)]
-    made_from: Literal["thermal images", "points", "truth", "files"]
+    made_from: PriorSource
     estimator: dict[str, Any]
 
 

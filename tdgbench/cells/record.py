@@ -14,6 +14,7 @@ from pydantic_core import PydanticCustomError
 from typing_extensions import TypedDict  # pydantic refuses that of typing before Python 3.12
 
 from tdgbench.cells.paths import RECORD_FILE
+from tdgbench.cells.prior_sources import Source, source_of
 from tdgbench.cells.read_files import read_text
 from tdgbench.files import write_text
 from tdgbench.text import one_line, shortened
@@ -190,6 +191,11 @@ class Record:
     def prior_made_from(self) -> str:
         """What its depth prior is made from, as the prior's file says; empty without one, or where it is not stated."""
         return str((self.prior or {}).get("made_from") or "")
+
+    @property
+    def prior_source(self) -> Source:
+        """What that means for its scores."""
+        return source_of(self.prior_made_from)
 
     def setting(self, name: str) -> Any:
         """Return the value of a setting by its dotted name; None if the record has none.

@@ -20,6 +20,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from scipy.stats import spearmanr
 
+from tdgbench.cells.prior_sources import POINTS
 from tdgbench.priors import DepthPrior, PriorError, estimate_all, prepare
 from tdgbench.priors.known_depth import KnownDepth, known_depth
 from tdgbench.priors.prior import Kind
@@ -57,7 +58,7 @@ def measure_prior(prior: DictConfig, scene: Scene, cache: Path | None) -> PriorE
     try:
         estimator = instantiate(prior.estimator)
         prepare(estimator)
-        maps, _ = estimate_all(estimator, given if prior.get("made_from") == "points" else scene, cache)
+        maps, _ = estimate_all(estimator, given if prior.get("made_from") == POINTS else scene, cache)
     except PriorError as error:
         return PriorErrors(reason=str(error).splitlines()[0])
     kind = next(iter(maps.values())).kind

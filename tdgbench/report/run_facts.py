@@ -8,17 +8,12 @@ from typing import Any
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import READ_PHASE, Record
 from tdgbench.tables import methods
-from tdgbench.tables.findings import PRIOR_SOURCES
 from tdgbench.tables.latex import LABELS
 from tdgbench.tables.likeness import version
 from tdgbench.tables.long_table import SPLITS, method_label, planned_iterations
 from tdgbench.text import named
 
 Fact = Callable[[Record], str]
-MORE_ON_SOURCES = {  # of depth priors
-    "points": "; no evidence for thermal images alone",
-    "truth": ", with made-up errors, smaller than those of a monocular network",
-}
 NOT_STATED = "not stated by the version that ran it"
 
 
@@ -132,8 +127,8 @@ def _prior(record: Record) -> str:
     """
     if record.prior is None:
         return "none"
-    model, source = record.prior.get("model"), record.prior_made_from
-    words = PRIOR_SOURCES.get(source, source) + MORE_ON_SOURCES.get(source, "")
+    model, source = record.prior.get("model"), record.prior_source
+    words = (source.in_full or record.prior_made_from) + source.in_report
     made = f", made from {words}" if words else ""
     return f"{record.prior.get('estimator', 'unknown')}{f' ({model})' if model else ''}{made}"
 

@@ -38,7 +38,6 @@ from tdgbench.tables.results import Cell
 from tdgbench.text import as_typed, shortened
 
 AVERAGES = (AVERAGE, OVERALL)
-PRIORS = {"truth": "made from true depth", "points": "from sparse points"}  # in words, by what they are made from
 SCORES = tuple(one for name in COLUMNS for one in ((name, ERROR) if name == "psnr" else (name,)))  # of rows and cells
 HEADS = [measure_of(name).title for name in SCORES]
 
@@ -178,15 +177,11 @@ class BoardRow:
         }
 
     @property
-    def prior_sources(self) -> set[str]:
-        """What its depth prior is made from."""
-        return {record.prior_made_from for record in self.records}
-
-    @property
     def prior(self) -> str:
         """What its depth prior is made from if not from the thermal images alone, else its name."""
         return joined(
-            PRIORS.get(record.prior_made_from, str(record.setting("prior.name") or "")) for record in self.records
+            f"made from {words}" if (words := record.prior_source.words) else str(record.setting("prior.name") or "")
+            for record in self.records
         )
 
     @property

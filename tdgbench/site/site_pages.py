@@ -220,14 +220,12 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
 
 def _caveats(rows: Sequence[BoardRow]) -> list[str]:
     """Return what the scores of a leaderboard are no evidence of, and what depth priors are given."""
-    of_truth, of_points = (
-        ", ".join(dict.fromkeys(row.pack.label(row.method) for row in rows if source in row.prior_sources))
-        for source in ("truth", "points")
-    )
-    given = f", and the depth prior of {of_truth} is made from their true depth" if of_truth else ""
-    found = [f"Built-in scenes{given}: no evidence on the paper."] if is_built_in(rows[0].dataset) else []
-    where = f"The depth prior of {of_points} is made from sparse points, which COLMAP mostly finds in RGB images."
-    return [*found, *([where] if of_points else [])]
+    given: dict[str, dict[str, None]] = {}
+    for row in rows:
+        for record in row.records:
+            given.setdefault(record.prior_source.in_full, {})[row.pack.label(row.method)] = None
+    found = ["Built-in scenes: no evidence on the paper."] if is_built_in(rows[0].dataset) else []
+    return found + [f"The depth prior of {', '.join(who)} is made from {what}." for what, who in given.items() if what]
 
 
 def _reasons(rows: Sequence[BoardRow]) -> list[str]:

@@ -46,9 +46,6 @@ from tdgbench.tables.verdicts import (
 from tdgbench.text import named, one_line
 
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
-PRIOR_SOURCES = {  # of depth priors with more than the thermal images, by `made_from`
-    "truth": "true depth", "points": "the scene's sparse points (COLMAP mostly finds them in RGB images)",
-}  # fmt: skip
 
 
 def findings_of_methods(
@@ -160,8 +157,9 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
     is_timed = HOURS.name in set(scenes["metric"])
     times = _times(pair, records) if is_timed else ["times are of unlike machines or threads"] * timed
     if several and scenes["seeds"].max() > 1:
-        tests = ["p: Wilcoxon's signed-rank test over the scenes"] if "(p " in (counts := _counts(paired)) else []
-        yield "; ".join([f"{title} on {len(compared)} scenes: {counts}", *tests, *times, *notes])
+        has_p = paired.loc[paired["metric"].isin(MAIN_COLUMNS), "p"].notna().any()
+        tests = ["p: Wilcoxon's signed-rank test over the scenes"] if has_p else []
+        yield "; ".join([f"{title} on {len(compared)} scenes: {_counts(paired)}", *tests, *times, *notes])
         notes = []
     place = widest_average(rows) if several else scenes
     if several and not _is_average(place).all():  # some scene lacks results, so there is no average
@@ -175,7 +173,7 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
 def _title(column: str, records: Sequence[Record]) -> str:
     """Return a method's name, with what else its scores come from: more than thermal images, or a choice by them."""
     cells = [one for one in records if method_label(one, with_init=True) == column]
-    sources = " or ".join(filter(None, dict.fromkeys(map(prior_source, cells))))
+    sources = " or ".join(filter(None, dict.fromkeys(cell.prior_source.in_full for cell in cells)))
     selected = " (checkpoint chosen by test views: its scores are too high)" * any(map(is_selected, cells))
     return methods.label(column) + (f" with a depth prior made from {sources}" if sources else "") + selected
 
@@ -190,12 +188,8 @@ def given_priors(records: Iterable[Record]) -> list[str]:
     """Return sentences on what depth priors are made from, if not from the thermal images alone."""
     found: dict[str, list[str]] = {}
     for record in records:
-        found.setdefault(prior_source(record), []).append(methods.label(record.method))
+        found.setdefault(record.prior_source.in_full, []).append(methods.label(record.method))
     return [f"The depth prior of {named(them)} is made from {source}" for source, them in found.items() if source]
-
-
-def prior_source(record: Record) -> str:
-    return PRIOR_SOURCES.get(record.prior_made_from, "")
 
 
 def _counts(paired: pd.DataFrame) -> str:

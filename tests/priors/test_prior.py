@@ -2,10 +2,12 @@ import importlib
 import io
 import os
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
+from tdgbench.cells.prior_sources import SOURCES, PriorSource
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.priors.prior import offers
 from tests.helpers.configs import config
@@ -41,7 +43,7 @@ def test_the_default_prior_is_the_paper_s_for_real_scenes_and_needs_no_network_f
 @pytest.mark.parametrize("path", sorted((ROOT / "conf" / "prior").iterdir()), ids=lambda path: path.stem)
 def test_every_prior_has_a_row_in_the_docs_and_says_what_it_is_made_from(path):
     assert f"| `{path.stem}` | " in (ROOT / "docs" / "priors.md").read_text(encoding="utf-8")
-    assert config(f"prior={path.stem}").prior.made_from
+    assert config(f"prior={path.stem}").prior.made_from in SOURCES and tuple(SOURCES) == get_args(PriorSource)
     assert (path.stem in offers()) == (path.stem != "synthetic")
 
 

@@ -1,0 +1,46 @@
+"""What depth priors may be made from, `made_from` in conf/prior/, and how far scores of their methods are evidence."""
+
+from __future__ import annotations
+
+from typing import Final, Literal, NamedTuple
+
+PriorSource = Literal["thermal images", "points", "truth", "files"]
+POINTS: Final = "points"
+
+
+class Source(NamedTuple):
+    """What a prior is made from. counts: whether claims of the paper count trainings with it."""
+
+    words: str = ""  # behind `made from`, where more than the thermal images
+    remark: str = ""  # in brackets behind them
+    in_report: str = ""  # behind both
+    counts: bool = True
+
+    @property
+    def in_full(self) -> str:
+        return f"{self.words} ({self.remark})" if self.remark else self.words
+
+
+SOURCES: dict[PriorSource, Source] = {
+    "thermal images": Source(),
+    "points": Source(
+        "the scene's sparse points", "COLMAP mostly finds them in RGB images",
+        "; no evidence for thermal images alone", counts=False,
+    ),
+    # of built-in scenes, which decide no claim
+    "truth": Source("true depth", in_report=", with made-up errors, smaller than those of a monocular network"),
+    "files": Source(
+        "files of unknown origin", in_report="; no evidence for thermal images alone", counts=False
+    ),
+}  # fmt: skip
+UNKNOWN = Source("an unknown source", counts=False)
+
+
+def source_of(made_from: str) -> Source:
+    """Return the source that a record states; one without a prior, or of an early version, states none.
+
+    >>> source_of("truth").words, source_of("").counts, source_of("dreams").counts
+    ('true depth', True, False)
+    """
+    known: dict[str, Source] = {"": Source(), **SOURCES}
+    return known.get(made_from, UNKNOWN)
