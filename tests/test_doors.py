@@ -83,6 +83,7 @@ DOORS = {
     "tdgbench/splats/ply.py": {"np.fromfile": OPENED},
     "tdgbench/tables/claims/__init__.py": {"OmegaConf.load": OURS},
     "tdgbench/cells/plan.py": {"OmegaConf.load": CHOSEN},
+    "tdgbench/tables/overrides.py": {"OmegaConf.load": OURS},
     "tdgbench/tables/published.py": {"pd.read_csv": OURS, "OmegaConf.load": OURS},
     "tdgbench/tables/seed_spreads.py": {"OmegaConf.load": OURS},
     "tdgbench/tables/verdicts.py": {"OmegaConf.load": OURS},

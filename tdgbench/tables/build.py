@@ -29,6 +29,7 @@ from tdgbench.tables.latex import ablation_table, main_table
 from tdgbench.tables.likeness import Trainings, is_selected, selected_notes, times_at_once
 from tdgbench.tables.long_table import cell_rows, is_random, method_label, scene_rows, with_averages, with_protocols
 from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, KEYS, OVERALL, further
+from tdgbench.tables.overrides import override_notes
 from tdgbench.tables.palette import IMAGES, with_image_values
 from tdgbench.tables.published import published_ablation, published_main
 from tdgbench.tables.readings import effects, reading_cells, readings
@@ -146,7 +147,9 @@ def _main(results: Results, options: TableOptions) -> Tables:
         results=replace(results, problems=[*results.problems, *problems]), main=main, difference=difference,
         findings=findings_of_methods(main, difference, comparisons, changes, equal, finished), comparisons=comparisons,
         readings=by_length, effects=changes, columns=options.columns,
-        notes=[*notes, *selected_notes(finished, COLUMN_OF), *times_at_once(finished)],
+        notes=[
+            *notes, *override_notes(finished, COLUMN_OF), *selected_notes(finished, COLUMN_OF), *times_at_once(finished)
+        ],
     )  # fmt: skip
 
 
@@ -165,7 +168,9 @@ def _ablation(results: Results, options: TableOptions) -> Tables:
         random, kinds = published[published["init"] == "random"], {*filter(is_random, main["init"])} - {"random"}
         published = pd.concat([published, *(random.assign(init=kind) for kind in sorted(kinds))])
         difference = against_published(main, published, ABLATION_KEYS)
-    findings = findings_of_ablation(main, difference, [cell.record for cell in results.finished])
+    finished = [cell.record for cell in results.finished]
+    findings = findings_of_ablation(main, difference, finished)
+    notes += override_notes(finished, partial(method_label, with_init=False))
     return Tables(results=results, main=main, difference=difference, findings=findings, notes=notes)
 
 

@@ -88,14 +88,14 @@ def test_what_has_to_agree(tmp_path, fields, note):
 def test_what_is_a_method_s_own(tmp_path):
     """Its options, its prior, its code, and the length that its file states."""
     fields = {
-        "msmg": {**trained("paper", 30000, lambda_smooth=0.6), "code": "c"},
+        "msmg": {**trained("paper", 30000, method={"lambda_smooth": 0.5}), "code": "c"},
         "tdg": {**trained("paper", 10000, paper_iterations=10000), "code": "d"},
     }
     for name in fields:
         fields[name]["config"]["budget"]["density"] = {"start": 500}
     fields["tdg"]["config"]["prior"] = {"name": "marigold"}
     tables = run(tmp_path / "own", fields)
-    assert not tables.notes and bold(tables) == {"tdg"}
+    assert tables.notes == ["not as its file says: MSMG: method.method.lambda_smooth=0.5"] and bold(tables) == {"tdg"}
     fields["3dgs"] = {**trained("paper", 400), "code": "c"}
     tables = run(tmp_path / "other", fields)
     assert bold(tables) == {"tdg"} and AUTHORS_OWN in tables.notes

@@ -18,6 +18,7 @@ from tdgbench.tables import methods
 from tdgbench.tables.likeness import setups
 from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages
 from tdgbench.tables.measures import AVERAGE, KEYS, OVERALL
+from tdgbench.tables.overrides import overrides_of
 from tdgbench.tables.results import Cell, read_results
 from tdgbench.tables.statistics import seed_values
 from tdgbench.text import named
@@ -238,7 +239,8 @@ def _is_built_in(cells: Iterable[Cell]) -> bool:
 def _is_plain(record: Record) -> bool:
     if record.prior_made_from == "points":
         return False
-    return not any(override.startswith(("method.", "prior", "init.")) for override in record.variant.split(","))
+    has_several_priors = any(override.startswith("prior") for override in record.variant.split(","))
+    return not has_several_priors and not overrides_of(record)
 
 
 def _lengths(cells: Sequence[Cell]) -> str:

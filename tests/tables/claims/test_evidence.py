@@ -66,10 +66,12 @@ def test_several_data_sets_have_an_overall_average(tmp_path):
 
 def test_what_does_not_count(tmp_path):
     write(tmp_path, "tdg", seed=1, status="failed", failure=Failure("train", "ValueError: x", ""))
-    write(tmp_path, "tdg", variant="method.method.lambda_depth=0.4", seed=2)
+    changed = {"method": {"lambda_depth": 0.4}}, {"method": {"fourth": 1}}
+    for seed, method in enumerate(changed, 7):  # in a variant or not
+        write(tmp_path, "tdg", config={"method": {"name": "tdg", **method}}, seed=seed)
     write(tmp_path, "tdg", variant="budget.iterations=1000,prior=marigold", seed=3)
     write(tmp_path, "tdg", init="random", seed=4)
-    write(tmp_path, "tdg", variant="init.points.train_only=true", seed=6)
+    write(tmp_path, "tdg", config={"init": {"points": {"train_only": True}}}, seed=6)
     write(tmp_path, "tdg", prior={"estimator": "sfm_points", "kind": "disparity", "made_from": "points"}, seed=5)
     found = evidence_of([tmp_path])
     assert [cell.record.seed for cell in found.cells] == [4]

@@ -1,0 +1,66 @@
+"""Options of a training that are not those of its method's, prior's and initial points' files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import cache
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from tdgbench.cells.key import as_json, flat
+from tdgbench.cells.record import Record
+from tdgbench.resources import conf_folder
+from tdgbench.tables import methods
+from tdgbench.text import as_typed
+
+GROUPS = ("method", "prior", "init")
+
+
+def overrides_of(record: Record) -> list[str]:
+    """Return the recorded options that differ from tdgbench's files, as the command line has them.
+
+    Files of a user are not compared, nor what a file leaves open: `???`, references, and null in a prior's.
+
+    >>> config = {"method": {"method": {"lambda_depth": 0.0}}}
+    >>> overrides_of(Record("tdg", "synthetic", "orbit", "colmap", 0, "", "", config=config))
+    ['method.method.lambda_depth=0.0']
+    """
+    found = []
+    names = {"method": record.method, "prior": str(record.setting("prior.name")), "init": record.init}
+    for group in GROUPS:
+        options, filed = record.config.get(group), _filed(group, names[group])
+        if isinstance(options, dict) and filed is not None:
+            differ = {name: value for name, value in flat(options).items() if filed.get(name, "nothing") != value}
+            found += [f"{group}.{name}={as_typed(value)}" for name, value in differ.items()
+                      if not (name in filed and _is_open(group, filed[name]))]  # fmt: skip
+    return found
+
+
+def override_notes(records: Iterable[Record], column: Callable[[Record], str]) -> list[str]:
+    """Return a note for each column with such options that its name does not tell."""
+    found: dict[str, dict[str, None]] = {}
+    for record in records:
+        told = set(map(_last_part, record.variant.split(",")))
+        untold = [one for one in overrides_of(record) if _last_part(one) not in told]
+        found.setdefault(column(record), {}).update(dict.fromkeys(untold))
+    return [f"not as its file says: {methods.label(name)}: {', '.join(them)}" for name, them in found.items() if them]
+
+
+def _last_part(override: str) -> str:
+    return override.partition("=")[0].rpartition(".")[2]
+
+
+def _is_open(group: str, stated: Any) -> bool:
+    return "$" in str(stated) or stated == "???" or (group == "prior" and stated is None)
+
+
+@cache
+def _filed(group: str, name: str) -> dict[str, Any] | None:
+    """Return the options in a file of tdgbench by dotted name; None without the file."""
+    folder = conf_folder() / group
+    if f"{name}.yaml" not in {path.name for path in folder.glob("*.yaml")}:
+        return None
+    stated: Any = as_json(OmegaConf.to_container(OmegaConf.load(folder / f"{name}.yaml")))
+    bases = [_filed(group, base) or {} for base in stated.pop("defaults", ()) if base != "_self_"]
+    return {option: value for options in (*bases, flat(stated)) for option, value in options.items()}
