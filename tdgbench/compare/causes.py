@@ -1,9 +1,9 @@
-"""What differs between two experiments behind their scores: protocol, training, code, machine."""
+"""What differs between two experiments behind their scores: protocol, training, code, machine, version."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from typing import Any, NamedTuple
 
 from tdgbench.cells.ground_truth import views_with_other_truth
@@ -13,22 +13,24 @@ from tdgbench.cells.record import Record
 from tdgbench.compare.pairs import ComparedCell, Pairs, Place, place_of
 from tdgbench.scoring import METRICS
 from tdgbench.tables.measures import known_measures, measure_of
-from tdgbench.text import as_typed, one_line
+from tdgbench.text import as_typed, named, one_line
 
-PROTOCOL, TRAINING, MACHINE = "protocol", "training", "machine"
+PROTOCOL, TRAINING, MACHINE, VERSION = "protocol", "training", "machine", "version"
 KINDS = {
     PROTOCOL: "decides what a score means: none is compared across two",
     TRAINING: "decides what is trained",
     MACHINE: "decides rounding and time",
+    VERSION: "decides nothing by itself: code and hashes say what differs",
 }
 OF_PROTOCOL = ("data", *MEASURED_ON)  # fields of Record
 OF_TRAINING = ("iterations", "backend", "code", "prior", "init_points")
 PROTOCOL_OPTIONS = ("dataset", "metrics")  # groups of the configuration
-ELSEWHERE = ("metrics.lpips.weights",)  # says where weights are, not which they are
+OF_VERSION = ("git.commit", "packages.tdgbench", "metrics.lpips.weights")  # the last says where weights are, not which
 NAME = "metrics.convention"  # of other options of metrics
 ADDED = "metrics.extra"  # changes no other score
 TRUTH = PROTOCOL, "ground truth"
 LACKING = "n/a"
+LONGEST = 12  # characters of a value that a sentence prints
 
 
 class Cause(NamedTuple):
@@ -44,6 +46,12 @@ class Cause(NamedTuple):
     def change(self) -> str:
         """`budget.iterations: 3000 → 1200`."""
         return f"{self.name}: {self.values[0]} → {self.values[1]}"
+
+    @property
+    def brief(self) -> str:
+        """The change, `iterations 3000 → 1200`; of hashes and long values the name."""
+        is_short = self.name != "code" and max(map(len, self.values)) <= LONGEST
+        return f"{self.name} {' → '.join(self.values)}" if is_short else self.name
 
     @property
     def scores(self) -> Collection[str]:
@@ -90,6 +98,14 @@ def find_causes(pairs: Pairs) -> list[Cause]:
     return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells))
 
 
+def in_brief(causes: Iterable[Cause]) -> str:
+    """Return the first changes of some causes; the budget's iterations once, where those trained differ too."""
+    names = {cause.name: cause for cause in causes}
+    if "iterations" in names:
+        names.pop("budget.iterations", None)
+    return named(cause.brief for cause in names.values())
+
+
 def truth_in_words(pair: ComparedCell) -> str:
     """Return whose ground truth the second cell of a pair was scored against, by their pictures."""
     there = set(pair.b.views_with_truth())
@@ -112,4 +128,4 @@ def settings(record: Record) -> dict[tuple[str, str], str]:
         whole[PROTOCOL if group in PROTOCOL_OPTIONS else TRAINING][group] = options
     named = [(kind, name, value) for kind, of_kind in whole.items() for name, value in flat(of_kind).items()
              if name != NAME]  # fmt: skip
-    return {(MACHINE if name in ELSEWHERE else kind, name): as_typed(value) for kind, name, value in named}
+    return {(VERSION if name in OF_VERSION else kind, name): as_typed(value) for kind, name, value in named}

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tdgbench.compare import compared_cells as compared
-from tdgbench.compare.causes import KINDS, MACHINE, Cause, find_causes
+from tdgbench.compare.causes import KINDS, MACHINE, TRAINING, Cause, find_causes, in_brief
 from tdgbench.compare.compared_cells import FIRST, IDENTICAL, NOT_COMPARED, ONE_TRAINING, TWO_PROTOCOLS
 from tdgbench.compare.comparison_page import write_page
 from tdgbench.compare.pairs import Pairs, find_pairs, place_of
@@ -129,18 +129,30 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
         some = "" if once == len(pairs) else f" in {once} of {len(pairs)} cells"
         found.append(f"{ONE_TRAINING}{some}: models, renders and logs of A and B are equal (scored again, or copied), "
                      "so there is no repeat and no second time")  # fmt: skip
-    if any(cause.kind == MACHINE and cause.name.split(".")[0] in OF_TIMES for cause in causes):
-        found.append("their machines or threads differ, which may be why their times do")
-    scopes = {kind: {cause.scope for cause in causes if cause.kind == kind} for kind in KINDS}
-    kinds = [kind if "" in of_kind else f"{kind} ({', '.join(sorted(of_kind))})"
-             for kind, of_kind in scopes.items() if of_kind]  # fmt: skip
+    found += _of_times(causes)
+    kinds = []
+    for kind in KINDS:
+        of_kind = [cause for cause in causes if cause.kind == kind]
+        scopes = {cause.scope for cause in of_kind}
+        what = in_brief(of_kind) if "" in scopes else ", ".join(sorted(scopes))
+        kinds += [f"{kind} ({what})"] if of_kind else []
     found.append(f"what differs: {', '.join(kinds)}" if kinds else "settings, data, code and machine are the same")
-    found.append("the ground truth of both is what their files say: tdgbench verify compares it with the data")
+    found.append("not checked here: whether the stored ground truth is the data's (tdgbench verify)")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
         if alone:
             more = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
             found.append(f"finished in {name} alone: {alone[0].title}{more}")
     return found
+
+
+def _of_times(causes: Sequence[Cause]) -> list[str]:
+    """Return why times do not compare, or may differ, in a list; empty where one machine trained one length."""
+    of_machine = [cause for cause in causes if cause.kind == MACHINE and cause.name.split(".")[0] in OF_TIMES]
+    trained = [cause for cause in causes if cause.kind == TRAINING and cause.name != "code"]
+    if any(cause.name == "budget.iterations" for cause in trained) or (trained and of_machine):
+        main_first = sorted([*of_machine, *trained], key=lambda cause: "iterations" not in cause.name)
+        return [f"times do not compare: {in_brief(main_first)}"]
+    return ["their machines or threads differ, which may be why their times do"] if of_machine else []
 
 
 def _show(table: pd.DataFrame, causes: Sequence[Cause], pairs: int, findings: Sequence[str]) -> None:

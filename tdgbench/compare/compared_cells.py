@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from tdgbench.compare.causes import MACHINE, Cause
+from tdgbench.compare.causes import MACHINE, VERSION, Cause
 from tdgbench.compare.pairs import PLACE, ComparedCell, Pairs, Place
 from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scoring.metric import Measure
@@ -60,7 +60,7 @@ def score_table(pairs: Pairs, causes: Sequence[Cause]) -> pd.DataFrame:
     for place, by_seed in pairs.by_place.items():
         values_of_images, seeds = image_values(cell.record for pair in by_seed.values() for cell in pair), [*by_seed]
         is_repeat = not any(pair.is_one_training for pair in by_seed.values())
-        is_repeat &= all(cause.kind == MACHINE or place not in cause.places for cause in causes)
+        is_repeat &= all(cause.kind in (MACHINE, VERSION) or place not in cause.places for cause in causes)
         for metric in known_measures():
             values = np.array([_values(pair, metric) for pair in by_seed.values()])
             if np.isnan(values).all() and metric not in load_margins():
@@ -247,7 +247,7 @@ def _verdicts_of(measure: Measure, group: pd.DataFrame, pairs: Pairs, places: st
     """Return the sentence on a metric. group: its rows. places: what rows are of, in words."""
     counts, several = group["verdict"].value_counts(), len(group) > 1
     words = ", ".join(f"{word} on {number}" if several else str(word) for word, number in counts.items())
-    text = f"{measure.label}: {words}{f' of {len(group)} {places}' if several else ''}"
+    text = f"{measure.label}, B against A: {words}{f' of {len(group)} {places}' if several else ''}"
     reasons, compared = "; ".join(filter(None, group["reason"].unique())), group[group["verdict"] != NOT_COMPARED]
     if compared.empty:
         return f"{measure.label}: {NOT_COMPARED}, {reasons}"

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from tdgbench.cells.record import read_record
-from tdgbench.compare.causes import MACHINE, PROTOCOL, TRAINING, find_causes, settings
+from tdgbench.compare.causes import MACHINE, PROTOCOL, TRAINING, VERSION, find_causes, settings
 from tdgbench.compare.compare_command import main
 from tdgbench.compare.compared_cells import score_table
 from tdgbench.compare.pairs import find_pairs
@@ -64,9 +64,10 @@ def test_the_spread_of_a_repeat_is_not_that_of_seeds(tmp_path):
 @pytest.mark.parametrize(
     ("psnr_b", "said"),
     [
-        ([19.0], "PSNR: undecided; B − A -1.00 dB, by one seed, which shows no difference"),
-        ([20.1, 20.908], "PSNR: undecided; B − A within ±0.01 dB, 90 % interval -0.602 to +0.610, which contains zero"),
-        ([22.0, 23.1], "PSNR: better; B − A +2.05 dB, 90 % interval +1.73 to +2.37"),
+        ([19.0], "PSNR, B against A: undecided; B − A -1.00 dB, by one seed, which shows no difference"),
+        ([20.1, 20.908], "PSNR, B against A: undecided; B − A within ±0.01 dB, 90 % interval -0.602 to +0.610, "
+                         "which contains zero"),
+        ([22.0, 23.1], "PSNR, B against A: better; B − A +2.05 dB, 90 % interval +1.73 to +2.37"),
     ],
 )  # fmt: skip
 def test_a_finding_is_no_stronger_than_its_seeds(tmp_path, capsys, psnr_b, said):
@@ -99,6 +100,21 @@ def test_what_differs_is_told_by_what_it_decides(tmp_path):
     assert causes["budget.iterations"].values == ("n/a", "9")
     assert causes["budget.iterations"].sentence(2) == "budget.iterations: n/a → 9"
     assert causes["budget.iterations"].sentence(3).endswith("(in 2 of 3 cells)")
+
+
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        ({"iterations": 9, "environment": {"threads": 2}}, "times do not compare: iterations 0 → 9, threads n/a → 2"),
+        ({"code": "new", "environment": {"threads": 2}}, "their machines or threads differ, which may be why their "),
+    ],
+)
+def test_times_of_unlike_trainings_do_not_compare(tmp_path, capsys, extra, said):
+    main([str(folder) for folder in two_experiments(tmp_path, [20.0], [20.0], **extra)])
+    out = capsys.readouterr().out
+    assert f"found: {said}" in out
+    trained = "code" if "code" in extra else "iterations 0 → 9"
+    assert f"found: what differs: training ({trained}), machine (threads n/a → 2)\n" in out
 
 
 def test_two_protocols_are_refused_and_said(tmp_path, capsys):
@@ -195,5 +211,5 @@ def test_page_and_table_show_the_view_that_differs_most(tmp_path, small_results,
 def test_the_place_of_weights_is_no_protocol():
     config = {"metrics": {"lpips": {"net": "vgg", "weights": "vgg.npz", "weights_sha256": "ab"}}}
     kinds = {name: kind for kind, name in settings(record(config=config))}
-    assert kinds["metrics.lpips.weights"] == MACHINE
+    assert kinds["metrics.lpips.weights"] == VERSION
     assert kinds["metrics.lpips.weights_sha256"] == kinds["metrics.lpips.net"] == PROTOCOL
