@@ -60,9 +60,7 @@ def _extract(path: Path, folder: Path) -> tuple[Manifest, str]:
     except FileNotFoundError as error:
         raise FileNotFoundError(f"{path} does not exist") from error
     except ValueError as error:
-        is_zip = not str(error).endswith("File is not a zip file")
-        why = f", or damaged or changed: {error}" if is_zip else " (not a whole zip file)"
-        raise ValueError(f"{path} is no pack{why}") from error
+        raise ValueError(f"{path} is no pack, or damaged or changed: {error}") from error
 
 
 def _extract_members(members: dict[str, Member], folder: Path) -> tuple[Manifest, str]:

@@ -18,7 +18,7 @@ from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
 from tdgbench.tables.findings import given_priors
 from tdgbench.tables.grids import ERROR, reasons_for_na
-from tdgbench.tables.likeness import RANK_UNLIKE, machine, machine_in_words
+from tdgbench.tables.likeness import NOT_COMPARED, machine, machine_in_words
 from tdgbench.tables.long_table import (
     RANGE,
     initial_points,
@@ -86,7 +86,7 @@ def tabular(
 
 
 def _below(note: str) -> str:
-    if note.endswith(f"{RANK_UNLIKE}: they are)"):
+    if note == NOT_COMPARED:
         note = "Columns of unlike trainings are not compared."
     return (LATEX_MARK if note.startswith(MARK) else "") + escape(note.removeprefix(MARK))
 

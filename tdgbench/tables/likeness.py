@@ -40,7 +40,12 @@ OWN = {  # options of budgets that a method's file states, by which key; their v
 IGNORED = ("_target_", "seed", "expected_iterations", "convention")  # last part of an option's name
 AUTHORS = "as its authors state"  # in the place of values of OWN
 MOST_SCENES = 3  # of a difference that is another one in each scene
-RANK_UNLIKE, UNLIKE = "--rank-unlike", "are unlike trainings"
+RANK_UNLIKE = "--rank-unlike"
+NOT_COMPARED = (
+    "unlike trainings: they are not compared, and means over them are n/a "
+    f"(tdgbench tables DIR {RANK_UNLIKE}: they are)"
+)
+RANKED = f"unlike trainings: they are ranked and averaged all the same, as {RANK_UNLIKE} asks"
 
 
 class Difference(NamedTuple):
@@ -91,14 +96,14 @@ class Trainings:
             mixed = [f"{name}: {', '.join(values)}" for name, values in known if len(values) > 1]
             if mixed:
                 what = "its scenes or seeds" if scene in (AVERAGE, OVERALL) else "its seeds"
-                reasons[column, dataset, scene, timed] = f"{what} {UNLIKE} ({'; '.join(mixed)})"
+                reasons[column, dataset, scene, timed] = f"{what} are unlike trainings ({'; '.join(mixed)})"
         table = table.assign(**{TRAINING_KIND: [texts.get(place, "") for place in places]})
         unlike = pd.Series([reasons.get(place, "") for place in places], table.index, dtype=str)
         is_mixed = (unlike != "") & table["value"].notna()
         numbers = [name for name in ("value", "std", "ci95_low", "ci95_high") if name in table]
         table.loc[is_mixed, numbers] = float("nan")
         table.loc[is_mixed, "reason"] = unlike[is_mixed]
-        return table, self._notes(), _problems(table)
+        return table, self._notes(), _problems(table[is_mixed])
 
     def _notes(self) -> list[str]:
         """Return a line for each difference: what differs, its values, and the columns and scenes that have them."""
@@ -122,11 +127,7 @@ class Trainings:
             more = f" and {len(by_text) - MOST_SCENES} more" if len(by_text) > MOST_SCENES else ""
             alone = ", of times alone" if name in MACHINE else ""
             lines.append(f"unlike trainings{alone}: {name}: {'; '.join(parts)}{more}")
-        how = (
-            f"they are ranked and averaged all the same, as {RANK_UNLIKE} asks" if self._is_ranking_unlike
-            else f"they are not compared, and means over them are n/a (tdgbench tables DIR {RANK_UNLIKE}: they are)"
-        )  # fmt: skip
-        return [*lines, f"unlike trainings: {how}"]
+        return [*lines, RANKED if self._is_ranking_unlike else NOT_COMPARED]
 
 
 def setups(records: Sequence[Record], timed: bool = False, with_length: bool = False) -> list[str]:
@@ -185,9 +186,8 @@ def selected_notes(records: Iterable[Record], column: Callable[[Record], str]) -
     return [f"selected: {methods.label(name)}: {what}" for name in chosen]
 
 
-def _problems(table: pd.DataFrame) -> list[str]:
-    """Return a problem for each column and scene of a main table whose mean is of unlike trainings."""
-    unlike = table[table["reason"].str.contains(UNLIKE, regex=False)]
+def _problems(unlike: pd.DataFrame) -> list[str]:
+    """Return a problem for each column and scene of rows whose means are of unlike trainings."""
     places = unlike[["method", "dataset", "scene", "reason"]].drop_duplicates()
     is_average = places["scene"].isin((AVERAGE, OVERALL))
     places = places[~is_average | ~places["method"].isin(places.loc[~is_average, "method"])]  # whose scenes say it

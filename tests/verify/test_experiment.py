@@ -90,7 +90,9 @@ def test_folders_without_records_are_named_and_the_others_verified(small_results
     make(folder)
     with pytest.raises(ValueError, match=message):
         verify(folder)
-    message = "is no pack (not a whole zip file)" if folder.is_file() else message
+    message = (
+        "is no pack, or damaged or changed: it is damaged: File is not a zip file" if folder.is_file() else message
+    )
     assert main([str(folder), str(small_results)]) == 1
     out, err = capsys.readouterr()
     assert message in err and r"[red]\nx" in err and err.count("\n") == 1
