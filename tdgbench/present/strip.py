@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from tdgbench.cells.folder import CellFolder
+from tdgbench.cells.record import Record
 from tdgbench.present.colour_scale import ColourScale
 from tdgbench.present.figures import plain, save_figure
 from tdgbench.present.view_pictures import middle_view, view_pictures, view_scale
@@ -18,18 +19,18 @@ MOST_BESIDE = 4  # methods whose errors are beside their renders
 TITLE: dict[str, Any] = {"fontsize": 8, "y": 1.0}  # with a fixed height, matplotlib searches for none
 
 
-def draw_strip(cells: Sequence[CellFolder], target: Path, label: Callable[[str], str] = str) -> bool:
+def draw_strip(cells: Sequence[CellFolder], target: Path, label: Callable[[Record], str] | None = None) -> bool:
     """Draw renders of finished cells, in their order; an unusable picture is n/a. Return whether there was a cell.
 
-    label: of a method, as it is printed.
+    Method, initial points and overrides make a column. label: its title, by default the method.
     """
     if not cells:
         return False
     scenes = list(dict.fromkeys((c.record.dataset, c.record.scene, c.record.split) for c in cells))
-    methods = list(dict.fromkeys(c.record.method for c in cells))
+    methods = list(dict.fromkeys(map(_column, cells)))
     first: dict[tuple[str, ...], CellFolder] = {}
     for cell in cells:
-        first.setdefault((cell.record.dataset, cell.record.scene, cell.record.split, cell.record.method), cell)
+        first.setdefault((cell.record.dataset, cell.record.scene, cell.record.split, *_column(cell)), cell)
     below = len(methods) > MOST_BESIDE  # errors have a row of their own
     rows, columns = len(scenes) * (1 + below), 1 + len(methods) * (2 - below)
     figure = Figure(figsize=(2.4 * columns, 2.1 * rows))
@@ -41,16 +42,20 @@ def draw_strip(cells: Sequence[CellFolder], target: Path, label: Callable[[str],
     for axis in axes.flat:
         axis.set_axis_off()
     for place, row, errors in zip(scenes, axes[:: 1 + below], axes[below :: 1 + below], strict=True):
-        drawn = {m: first[*place, method] for m, method in enumerate(methods) if (*place, method) in first}
+        drawn = {m: first[*place, *column] for m, column in enumerate(methods) if (*place, *column) in first}
         view = middle_view(drawn.values())
         scale = view_scale(drawn.values(), view)
         row[0].set_title(f"{plain(place_name(place, scenes))}: ground truth\n{scale.span}", **TITLE)
         for m, cell in drawn.items():
             axes_of_cell = row[0], row[1 + m], errors[1 + m + (0 if below else len(methods))]
-            _draw_cell(axes_of_cell, cell, view, scale, plain(label(cell.record.method)))
+            _draw_cell(axes_of_cell, cell, view, scale, plain(label(cell.record) if label else cell.record.method))
     target.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, target)
     return True
+
+
+def _column(cell: CellFolder) -> tuple[str, str, str]:
+    return cell.record.method, cell.record.init, cell.record.variant
 
 
 def _draw_cell(axes: tuple[Axes, Axes, Axes], cell: CellFolder, view: str, scale: ColourScale, name: str) -> None:

@@ -142,8 +142,9 @@ def protocol_notes(main: pd.DataFrame) -> list[str]:
     single = [name for name in dict.fromkeys(main["protocol"]) if name and " + " not in name]
     if len(single) < 2:
         return [*splits, *(f"protocol {name}" for name in single)]
-    columns = (f"{name} ({', '.join(dict.fromkeys(main.loc[main['protocol'] == name, 'method']))})" for name in single)
-    return [*splits, f"several protocols, whose scores do not compare: {'; '.join(columns)}"]
+    columns = {name: dict.fromkeys(main.loc[main["protocol"] == name, "method"]) for name in single}
+    texts = (f"{name} ({', '.join(map(methods.label, of_name))})" for name, of_name in columns.items())
+    return [*splits, f"several protocols, whose scores do not compare: {'; '.join(texts)}"]
 
 
 def initial_points(ablation: pd.DataFrame) -> list[str]:

@@ -12,6 +12,7 @@ from operator import attrgetter
 import pandas as pd
 
 from tdgbench.cells.record import Record
+from tdgbench.tables import methods
 from tdgbench.tables.measures import AVERAGE, OVERALL
 
 IMAGES = "image_values"
@@ -107,7 +108,7 @@ def palette_notes(table: pd.DataFrame) -> list[str]:
     if "method" in table:
         others = table[~is_average & (table[IMAGES] == "") & table["value"].notna()]
         if others["scene"].isin(inside["scene"]).any():
-            alone = f" ({', '.join(inside['method'].unique())} alone)"
+            alone = f" ({', '.join(map(methods.label, inside['method'].unique()))} alone)"
     averages = dict.fromkeys(
         name if name == OVERALL else f"{name} of {dataset}"
         for dataset, name in zip(partly["dataset"], partly["scene"], strict=True)

@@ -146,10 +146,7 @@ def _show_main(tables: Tables) -> None:
 def _show_ablation(tables: Tables) -> None:
     described = [measure_of(metric) for metric in ABLATION]
     heads = (metric.column + (f", {metric.images}" if metric.images else "") for metric in described)
-    rows = [
-        [f"{row.place[0]} {MARK}" if row.is_marked else row.place[0], row.place[1], *(cell.mean for cell in row.cells)]
-        for row in tables.grid.rows
-    ]
+    rows = [[*row.heads, *(cell.mean for cell in row.cells)] for row in tables.grid.rows]
     show_table(pd.DataFrame(rows, columns=["method", "initial points", *heads]))
 
 

@@ -87,4 +87,4 @@ def test_columns_of_several_protocols_are_named(tmp_path):
     tables = build_tables(tmp_path / "two")
     assert not tables.problems
     (note,) = (note for note in protocol_notes(tables.main) if "several protocols" in note)
-    assert "tdg [metrics=a]" in note and configured("valid")["protocol"] in note
+    assert "TDg [metrics=a]" in note and configured("valid")["protocol"] in note

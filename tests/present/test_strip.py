@@ -42,6 +42,15 @@ def test_any_name_is_drawn(tmp_path, name):
         assert draw_strip([cell], tmp_path / "strip.png")
 
 
+def test_initial_points_and_overrides_have_columns_of_their_own(tmp_path):
+    cells = []
+    for name, variant in (("a", ""), ("b", "budget=short")):
+        cells.append(drawn_cell(tmp_path / name, variant=variant, scores={"psnr": 20.0}))
+        assert draw_strip(cells, tmp_path / f"{name}.png")
+    one, both = (Image.open(tmp_path / f"{name}.png").width for name in "ab")
+    assert both == pytest.approx(one * 5 / 3, abs=2)  # ground truth, then render and error of each
+
+
 @pytest.mark.parametrize("mode", ["L", "RGB"])
 def test_masked_pixels_are_not_drawn(tmp_path, mode):
     cell = drawn_cell(tmp_path / "cell", mode, scores={"psnr": 12.0})

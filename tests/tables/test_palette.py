@@ -75,7 +75,7 @@ def test_methods_of_other_images_are_told_apart(tmp_path):
     tables = build_tables(tmp_path)
     of_methods = tables.main[tables.main["scene"] == "orbit"].groupby("method")["image_values"].unique().map(list)
     assert of_methods.to_dict() == {"tdg": [WORDS], "msmg": [""]}
-    assert palette_notes(tables.main) == [f"† {WORDS} (tdg alone)"]
+    assert palette_notes(tables.main) == [f"† {WORDS} (TDg alone)"]
 
 
 def test_without_a_palette_nothing_is_marked(tmp_path, capsys):

@@ -130,6 +130,7 @@ def _write_outputs(experiment: Path) -> tuple[list[str], list[str]]:
     from tdgbench.tables import methods
     from tdgbench.tables.build import build_tables
     from tdgbench.tables.columns import own_columns
+    from tdgbench.tables.long_table import method_label
     from tdgbench.tables.show import show_tables
 
     tables = build_tables(experiment)
@@ -138,7 +139,7 @@ def _write_outputs(experiment: Path) -> tuple[list[str], list[str]]:
     outputs = [path for path in tables.folder.iterdir() if path.suffix in (".csv", ".tex", ".txt")]
     strip = experiment / "strip.png"
     with own_columns(tables.results.plan):
-        if draw_strip(in_order(tables.results), strip, methods.label):
+        if draw_strip(in_order(tables.results), strip, lambda one: methods.label(method_label(one, with_init=True))):
             say(f"pictures: {strip}")
             outputs.append(strip)
     outputs.append(write_report(tables))
