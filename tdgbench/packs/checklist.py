@@ -12,7 +12,7 @@ from tdgbench.cells.paths import LOG_FILE
 from tdgbench.cells.plan import read_plan
 from tdgbench.cells.record import Record
 
-FEWEST_SEEDS = 3  # of which a spread can be stated
+FEWEST_SEEDS = 3  # of bold type too
 OF_A_MACHINE = ("cpu", "cores", "platform", "python", "packages")
 
 
@@ -49,8 +49,9 @@ def checklist(experiment: Path) -> list[Item]:
 def _item_of_seeds(records: list[Record]) -> Item:
     """Return the line of seeds, which says how many the cells lack at most."""
     seeds = defaultdict(set)
-    for record in records:
-        seeds[record.title.replace(f", seed {record.seed}", "")].add(record.seed)
+    for one in records:
+        variant = f" [{one.variant}]" if one.variant else ""
+        seeds[f"{one.method} on {one.dataset}/{one.scene}, {one.init}{variant}"].add(one.seed)
     lacks = {title: FEWEST_SEEDS - len(found) for title, found in seeds.items() if len(found) < FEWEST_SEEDS}
     most = ("up to " if len({*lacks.values()}) > 1 else "") + f"{max(lacks.values(), default=0)} of " if lacks else ""
     return Item(f"{most}{FEWEST_SEEDS} seeds of each cell", _first([*lacks]))
@@ -67,7 +68,7 @@ def _states_no_machine(cell: CellFolder) -> bool:
 
 def _states_no_commit(cell: CellFolder) -> bool:
     git = cell.record.environment.get("git")
-    return not git or git["dirty"]
+    return not isinstance(git, dict) or bool(git.get("dirty", True))
 
 
 def _first(titles: list[str]) -> str:

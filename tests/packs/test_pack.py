@@ -255,7 +255,10 @@ def test_the_checklist_names_what_is_missing(small_results, tmp_path):
     copy = Path(shutil.copytree(small_results, tmp_path / "a"))
     record = copy / CELL / "record.json"
     record.write_bytes(edited(lambda content: content["hashes"].pop("renders/view000.png"))(record.read_bytes()))
+    foreign = edited(lambda content: content.update(environment={"git": "f00"}))
+    record.write_bytes(foreign(record.read_bytes()))
     missing = {item.title: item.missing for item in checklist(copy)}
+    assert missing["a commit of tdgbench without changes"]
     assert missing["renders of all test views"] == "tdg on synthetic/turntable, colmap, seed 0"
     assert missing["files as the records state them"] == ""
     (copy / CELL / "model.ply").write_bytes(b"ply")
