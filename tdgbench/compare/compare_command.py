@@ -17,10 +17,10 @@ from tdgbench.compare.comparison_page import write_page
 from tdgbench.compare.pairs import Pairs, find_pairs, place_of
 from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
-from tdgbench.scoring import METRICS
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
 from tdgbench.tables.columns import own_columns
+from tdgbench.tables.measures import RecordMeasure, measure_of
 from tdgbench.tables.results import Results, read_results
 from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.terminal import console, errors_in_one_line, say
@@ -108,7 +108,8 @@ def assumed_in_words(differences: Sequence[AssumedDifference]) -> list[str]:
 def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> list[str]:
     """Return what a comparison found, one sentence each: verdicts, what differs, cells of one experiment alone."""
     found = []
-    of_scores = table.loc[table["metric"].isin(METRICS), "verdict"]
+    is_score = [not isinstance(measure_of(name), RecordMeasure) for name in table["metric"]]
+    of_scores = table.loc[is_score, "verdict"]
     sentences = compared.verdicts(table, pairs)
     if set(of_scores) - {NOT_COMPARED} == {IDENTICAL}:
         found.append(f"all scores that are compared are identical, in {len(pairs)} cell{'s' * (len(pairs) > 1)}")

@@ -85,6 +85,10 @@ def test_cells_of_one_experiment_alone_are_named(tmp_path, capsys):
     assert "finished in A alone: tdg on RGBT-Scenes/Truck, colmap, seed 1 and 1 more" in out
     assert "finished in B alone: tdg on RGBT-Scenes/Lion" in out
     assert "all scores that are compared are identical, in 1 cell\n" in out
+    for folder, psnr in ((a, 30.0), (b, 31.0)):
+        write(folder, scene="Hotel", train_scores={"psnr": psnr})
+    main([str(a), str(b)])
+    assert "all scores that are compared are identical" not in capsys.readouterr().out
 
 
 def test_what_differs_is_told_by_what_it_decides(tmp_path):
