@@ -12,6 +12,7 @@ import pandas as pd
 from pydantic import ConfigDict
 
 from tdgbench.cells.plan import Plan
+from tdgbench.cells.prior_sources import SOURCES
 from tdgbench.cells.record import Record, no_records
 from tdgbench.scenes.registry import DATASETS, is_built_in
 from tdgbench.tables import methods
@@ -225,8 +226,8 @@ def on_built_in(finding: Finding, cells: Iterable[Cell]) -> Finding:
     cells = list(cells)
     if not cells or not _is_built_in(cells):
         return finding
-    known = {methods.label(c.record.method) for c in cells if c.record.prior_made_from == "truth"}
-    prior = f" and the depth prior of {named(sorted(known))} is made from true depth" if known else ""
+    known = {methods.label(c.record.method) for c in cells if c.record.prior_source.words}  # of all that counts
+    prior = f" and the depth prior of {named(sorted(known))} is made from {SOURCES['truth'].words}" if known else ""
     verdict = f"is {UNDECIDED}" if finding.verdict == UNDECIDED else finding.verdict
     where = f"the scenes are built in{prior}: no evidence on a paper; there it {verdict}"
     return Finding(UNDECIDED, f"{where}: {finding.grounds}")
@@ -237,7 +238,7 @@ def _is_built_in(cells: Iterable[Cell]) -> bool:
 
 
 def _is_plain(record: Record) -> bool:
-    if record.prior_made_from == "points":
+    if not record.prior_source.counts:
         return False
     has_several_priors = any(override.startswith("prior") for override in record.variant.split(","))
     return not has_several_priors and not overrides_of(record)

@@ -73,6 +73,7 @@ def test_what_does_not_count(tmp_path):
     write(tmp_path, "tdg", init="random", seed=4)
     write(tmp_path, "tdg", config={"init": {"points": {"train_only": True}}}, seed=6)
     write(tmp_path, "tdg", prior={"estimator": "sfm_points", "kind": "disparity", "made_from": "points"}, seed=5)
+    write(tmp_path, "tdg", prior={"made_from": "files"}, seed=2)
     found = evidence_of([tmp_path])
     assert [cell.record.seed for cell in found.cells] == [4]
     assert found.main.empty and found.note == ""
