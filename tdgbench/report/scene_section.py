@@ -159,6 +159,7 @@ def _pictures(one: ShownCell, near: float, far: float) -> dict[str, Any]:
         "psnr": measure_of("psnr").as_text(one.psnr),
         "render": one.pictures.render,
         "depth": None if one.depth is None else colored(one.depth, DEPTH, near, far),
+        "has_gaps": one.depth is not None and bool(np.isnan(one.depth).any()),
         "guesses": guesses,
         "barely_seen": "n/a" if known is None else f"{100 * is_barely_seen(known).mean():.0f} %",
     }

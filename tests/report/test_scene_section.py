@@ -3,7 +3,7 @@ import shutil
 import numpy as np
 from PIL import Image
 
-from tdgbench.present.colours import GUESSED, colours_of_levels
+from tdgbench.present.colours import GUESSED, UNKNOWN, colours_of_levels
 from tdgbench.report.panels import error_panel
 from tdgbench.report.scene_section import scene_section
 from tdgbench.tables.results import read_results
@@ -28,6 +28,7 @@ def test_a_scene_shows_the_middle_view_of_every_method_on_one_scale(small_result
         stored = cell.pictures(view)
         assert np.array_equal(group["truth"][..., 0], stored.truth[..., 0])
         assert np.array_equal(method["render"][..., 0], stored.render[..., 0])
+        assert method["has_gaps"] == (method["depth"] == UNKNOWN).all(-1).any()  # the caption says what gray is
     errors = np.concatenate([cell.pictures(view).error.ravel() for cell in cells])
     assert (errors <= group["scale"].error * 1.05).mean() >= 0.95  # few are beyond the end of the scale
 
