@@ -139,14 +139,24 @@ def setups(records: Sequence[Record], timed: bool = False, with_length: bool = F
     of a version before there was the option.
     """
     left_out = ("budget", "prior", *(() if timed else MACHINE), *(() if with_length else ("iterations",)))
-    found = []
+    cells, stated = [], dict[tuple[str, str], set[Hashable]]()
     for record, traits in zip(records, _traits(records), strict=True):
         kept = {
-            name: AUTHORS if isinstance(value, _Own) else value for name, value in traits.items()
+            name: value for name, value in traits.items()
             if value is not None and name not in left_out and not name.startswith((*OF_A_COLUMN, "prior."))
         }  # fmt: skip
         place = [record.dataset, record.scene, record.split]
-        found.append(json.dumps([*place, kept], sort_keys=True, default=str))
+        others = {name: value for name, value in kept.items() if name not in OWN}
+        cells.append((json.dumps([*place, others], sort_keys=True, default=str), kept))
+        for name in kept.keys() & OWN:
+            if isinstance(kept[name], _Own):
+                stated.setdefault((cells[-1][0], name), set()).add(_plain(kept[name]))
+    unequal = {place for place, values in stated.items() if len(values) > 1}  # else the number itself is compared
+    found = []
+    for others, kept in cells:
+        own = {name: AUTHORS if isinstance(kept[name], _Own) and (others, name) in unequal else _plain(kept[name])
+               for name in kept.keys() & OWN}  # fmt: skip
+        found.append(json.dumps([others, own], sort_keys=True, default=str))
     return found
 
 
@@ -214,9 +224,10 @@ def _differences(columns: Mapping[str, Sequence[Mapping[str, object]]], left_out
         {name: AUTHORS if name in stated and isinstance(value, _Own) else _plain(value)
          for name, value in traits.items() if name not in left_out} for _, traits in cells
     ]  # fmt: skip
+    unequal = differences([{name: _plain(value) for name, value in traits.items()} for _, traits in cells])
     found: dict[str, Difference] = {}
     for name, values in sorted(differences(values_of).items(), key=lambda one: one[0] not in NAMED):  # then options
-        if any(name.startswith(f"{group}.") and group in found for group in NAMED):
+        if name not in unequal or any(name.startswith(f"{group}.") and group in found for group in NAMED):
             continue
         kept: dict[str, dict[object, str]] = {}
         for (column, _), value in zip(cells, values, strict=True):

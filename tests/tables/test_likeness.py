@@ -96,6 +96,11 @@ def test_what_is_a_method_s_own(tmp_path):
     fields["tdg"]["config"]["prior"] = {"name": "marigold"}
     tables = run(tmp_path / "own", fields)
     assert tables.notes == ["not as its file says: MSMG: method.method.lambda_smooth=0.5"] and bold(tables) == {"tdg"}
+    typed = trained("paper", 10000)["config"]  # which 3DGS' authors do not state
+    typed["budget"]["density"] = {"start": 500}
+    assert len({*setups([record(**fields["tdg"]), record(config=typed, code="d")], with_length=True)}) == 1
+    fields["3dgs"] = {"config": typed, "code": "d"}
+    assert bold(run(tmp_path / "typed", {name: fields[name] for name in ("3dgs", "tdg")})) == {"3dgs"}
     fields["3dgs"] = {**trained("paper", 400), "code": "c"}
     tables = run(tmp_path / "other", fields)
     assert bold(tables) == {"tdg"} and AUTHORS_OWN in tables.notes
