@@ -29,9 +29,7 @@ SOURCES: dict[PriorSource, Source] = {
     ),
     # of built-in scenes, which decide no claim
     "truth": Source("true depth", in_report=", with made-up errors, smaller than those of a monocular network"),
-    "files": Source(
-        "files of unknown origin", in_report="; no evidence for thermal images alone", counts=False
-    ),
+    "files": Source("files of unknown origin", in_report="; no evidence for thermal images alone", counts=False),
 }  # fmt: skip
 UNKNOWN = Source("an unknown source", counts=False)
 
@@ -42,5 +40,5 @@ def source_of(made_from: str) -> Source:
     >>> source_of("truth").words, source_of("").counts, source_of("dreams").counts
     ('true depth', True, False)
     """
-    known: dict[str, Source] = {"": Source(), **SOURCES}
-    return known.get(made_from, UNKNOWN)
+    known = (source for name, source in SOURCES.items() if name == made_from)
+    return next(known, UNKNOWN if made_from else Source())

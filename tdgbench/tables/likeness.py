@@ -153,10 +153,10 @@ def setups(records: Sequence[Record], timed: bool = False, with_length: bool = F
                 stated.setdefault((cells[-1][0], name), set()).add(_plain(kept[name]))
     unequal = {place for place, values in stated.items() if len(values) > 1}  # else the number itself is compared
     found = []
-    for others, kept in cells:
-        own = {name: AUTHORS if isinstance(kept[name], _Own) and (others, name) in unequal else _plain(kept[name])
+    for setup, kept in cells:
+        own = {name: AUTHORS if isinstance(kept[name], _Own) and (setup, name) in unequal else _plain(kept[name])
                for name in kept.keys() & OWN}  # fmt: skip
-        found.append(json.dumps([others, own], sort_keys=True, default=str))
+        found.append(json.dumps([setup, own], sort_keys=True, default=str))
     return found
 
 
