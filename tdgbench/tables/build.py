@@ -32,7 +32,7 @@ from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, KEYS, OV
 from tdgbench.tables.overrides import override_notes
 from tdgbench.tables.palette import IMAGES, with_image_values
 from tdgbench.tables.published import published_ablation, published_main
-from tdgbench.tables.readings import effects, reading_cells, readings
+from tdgbench.tables.readings import effects, reading_cells, reading_label, readings
 from tdgbench.tables.results import Results, read_results
 from tdgbench.tables.statistics import intervals, with_seeds
 from tdgbench.tables.verdicts import against_published
@@ -142,7 +142,7 @@ def _main(results: Results, options: TableOptions) -> Tables:
     by_length, changes = None, None
     if results.plan.table == "readings":
         numbers = reading_cells(records)
-        by_length, changes = (with_image_values(table(numbers), records) for table in (readings, effects))
+        by_length, changes = (with_image_values(one(numbers), records, reading_label) for one in (readings, effects))
     return Tables(
         results=replace(results, problems=[*results.problems, *problems]), main=main, difference=difference,
         findings=findings_of_methods(main, difference, comparisons, changes, equal, finished), comparisons=comparisons,

@@ -7,6 +7,7 @@ interval is Student's over seeds, of the mean over scenes; each scene has its ro
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from tdgbench.cells.record import Record
 from tdgbench.scoring import METRICS
 from tdgbench.tables import methods
 from tdgbench.tables.likeness import setups
-from tdgbench.tables.long_table import metric_value, planned_iterations
+from tdgbench.tables.long_table import method_label, metric_value, planned_iterations
 from tdgbench.tables.measures import (
     AVERAGE,
     GAUSSIANS,
@@ -71,6 +72,16 @@ def compared_methods() -> list[Effect]:
     return [*EFFECTS, *(Effect(f"{methods.label(a)} for {methods.label(b)}", b, a) for a, b in more)]
 
 
+def reading_label(record: Record) -> str:
+    """Return the method with what a sweep names but the iterations, which have a column.
+
+    >>> reading_label(Record("tdg", "", "a", "colmap", 0, "", "budget.iterations=9,prior=files"))
+    'tdg [prior=files]'
+    """
+    named = (one for one in record.variant.split(",") if not one.startswith("budget.iterations="))
+    return method_label(replace(record, variant=",".join(named)), with_init=False)
+
+
 def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
     """Return one row per finished cell and known number: method, iterations, PLACE, metric, value.
 
@@ -82,7 +93,7 @@ def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
         place = [record.dataset, record.scene, record.init, record.split, record.seed]
         values = {name: metric_value(record, name)[0] for name in names}
         rows += [
-            [record.method, planned_iterations(record), *place, alike[name == HOURS.name], name, value]
+            [reading_label(record), planned_iterations(record), *place, alike[name == HOURS.name], name, value]
             for name, value in values.items()
             if not np.isnan(value)
         ]
@@ -92,12 +103,15 @@ def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
 def readings(cells: pd.DataFrame) -> pd.DataFrame:
     """Return method, iterations, init, split, dataset, scene, metric, value, std, seeds, published: means over seeds.
 
-    Averages are over the scenes that every method and length has; a seed that lacks one of them has no average.
+    Averages are over the scenes that every method and length has; a seed that lacks one of them has no average. A mean
+    over seeds of unlike trainings is NaN, and in no average.
     published: the paper's number, beside its baseline at the most iterations and its method at the fewest.
     """
     keys = ["method", "iterations", "init", "split", "metric"]
     if cells.empty:
         return pd.DataFrame(columns=[*keys[:4], "dataset", "scene", "metric", "value", "std", "seeds", "published"])
+    setups_of = cells.groupby([*keys, "dataset", "scene"], sort=False)["setup"].transform("nunique")
+    cells = cells.assign(value=cells["value"].where(setups_of == 1))
     by_seed = [cells]
     shared = _shared_scenes(cells)
     for names, scene in ((["dataset"], AVERAGE), ([], OVERALL)):
@@ -111,8 +125,8 @@ def readings(cells: pd.DataFrame) -> pd.DataFrame:
         means = means[means["count"] == full].rename(columns={"mean": "value"})
         by_seed.append(means.assign(scene=scene, dataset=means["dataset"] if names else ""))
     table = pd.concat(by_seed, ignore_index=True)
-    grouped = table.groupby([*keys[:4], "dataset", "scene", "metric"], sort=False)["value"]
-    scores = grouped.agg(value="mean", std="std", seeds="count").reset_index()
+    grouped = table.groupby([*keys[:4], "dataset", "scene", "metric"], sort=False)
+    scores = grouped.agg(value=("value", "mean"), std=("value", "std"), seeds=("seed", "nunique")).reset_index()
     return _with_published(scores)
 
 
@@ -160,13 +174,15 @@ def effects(cells: pd.DataFrame) -> pd.DataFrame:
     by method; and the paper's method at the fewest iterations against its baseline at the most, as published.
     """
     lengths = sorted(cells["iterations"].unique())
-    pairs = [(e.name, (e.before, n), (e.after, n)) for n in lengths for e in compared_methods()]
+    named = sorted({space + rest for _, space, rest in (column.partition(" ") for column in cells["method"].unique())})
+    pairs = [(e.name + rest, (e.before + rest, n), (e.after + rest, n))
+             for n in lengths for e in compared_methods() for rest in named]  # fmt: skip
     if len(lengths) > 1:
         few, many = lengths[0], lengths[-1]
         pairs += [(f"fewer iterations: {m}", (m, many), (m, few)) for m in cells["method"].unique()]
         new, old = methods.paper_pair()
         name = f"as published: {methods.label(new)} at the fewest for {methods.label(old)} at the most"
-        pairs.append((name, (old, many), (new, few)))
+        pairs += [(name + rest, (old + rest, many), (new + rest, few)) for rest in named]
     parts = []
     for name, before, after in pairs:
         a, b = (cells[(cells["method"] == m) & (cells["iterations"] == n)] for m, n in (before, after))

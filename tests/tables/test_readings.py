@@ -90,6 +90,21 @@ def test_published_numbers_stand_beside_the_published_lengths():
     assert np.isnan(printed["msmg", 10_000]) and np.isnan(printed["tdg", 30_000])
 
 
+def test_no_mean_is_over_priors_or_unlike_trainings():
+    near, far, other = (record("tdg", 3000, psnr, seed) for psnr, seed in ((20.0, 0), (24.0, 0), (22.0, 1)))
+    without = record("3dgs_smooth", 3000, 19.0)
+    for one in (near, without):
+        one.variant += ",prior=marigold"
+    table = readings(reading_cells([near, far, other, without])).query("metric == 'psnr'").set_index("method")
+    assert table["value"].to_dict() == {"tdg [prior=marigold]": 20, "tdg": 23, "3dgs_smooth [prior=marigold]": 19}
+    assert table["seeds"].to_dict() == {"tdg [prior=marigold]": 1, "tdg": 2, "3dgs_smooth [prior=marigold]": 1}
+    found = effects(reading_cells([near, far, other, without])).query("metric == 'psnr'")
+    assert found[["effect", "change"]].to_numpy().tolist() == [["depth, as written [prior=marigold]", 1.0]]
+    other.backend = "gsplat"
+    table = readings(reading_cells([far, other])).query("metric == 'psnr'")
+    assert table["value"].isna().all() and (table["seeds"] == 2).all()
+
+
 def test_failed_cells_say_nothing():
     failed = record("tdg", 3000, 30.0)
     failed.failure = Failure("train", "NonFiniteError: no", "")
