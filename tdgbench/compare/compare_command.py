@@ -17,6 +17,7 @@ from tdgbench.compare.comparison_page import write_page
 from tdgbench.compare.pairs import Pairs, find_pairs, place_of
 from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
+from tdgbench.tables import likeness
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
 from tdgbench.tables.columns import own_columns
@@ -27,7 +28,7 @@ from tdgbench.terminal import console, errors_in_one_line, say
 from tdgbench.text import one_line
 
 MOST_CAUSES = 12  # of a kind, on the terminal
-OF_TIMES = ("cpu", "cores", "threads", "simd_lanes", "gpu")  # fields of a record's environment that decide times
+OF_TIMES = (*likeness.MACHINE.values(), "cores", "simd_lanes")  # fields of a record's environment that decide times
 
 
 @errors_in_one_line("compare", status=2)

@@ -9,8 +9,9 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from tdgbench.cells.protocol import protocol_settings
 from tdgbench.cells.record import read_record
-from tdgbench.compare.causes import MACHINE, PROTOCOL, TRAINING, VERSION, find_causes, settings
+from tdgbench.compare.causes import ADDED, MACHINE, PROTOCOL, TRAINING, VERSION, find_causes, settings
 from tdgbench.compare.compare_command import main
 from tdgbench.compare.compared_cells import score_table
 from tdgbench.compare.pairs import find_pairs
@@ -110,7 +111,10 @@ def test_what_differs_is_told_by_what_it_decides(tmp_path):
     ("extra", "said"),
     [
         ({"iterations": 9, "environment": {"threads": 2}}, "times do not compare: iterations 0 → 9, threads n/a → 2"),
-        ({"code": "new", "environment": {"threads": 2}}, "their machines or threads differ, which may be why their "),
+        (
+            {"code": "new", "environment": {"cells_at_once": 2}},
+            "their machines or threads differ, which may be why their ",
+        ),
     ],
 )
 def test_times_of_unlike_trainings_do_not_compare(tmp_path, capsys, extra, said):
@@ -118,7 +122,8 @@ def test_times_of_unlike_trainings_do_not_compare(tmp_path, capsys, extra, said)
     out = capsys.readouterr().out
     assert f"found: {said}" in out
     trained = "code" if "code" in extra else "iterations 0 → 9"
-    assert f"found: what differs: training ({trained}), machine (threads n/a → 2)\n" in out
+    (changed,) = extra["environment"]
+    assert f"found: what differs: training ({trained}), machine ({changed} n/a → 2)\n" in out
 
 
 def test_two_protocols_are_refused_and_said(tmp_path, capsys):
@@ -213,7 +218,10 @@ def test_page_and_table_show_the_view_that_differs_most(tmp_path, small_results,
 
 
 def test_the_place_of_weights_is_no_protocol():
-    config = {"metrics": {"lpips": {"net": "vgg", "weights": "vgg.npz", "weights_sha256": "ab"}}}
+    config = {"metrics": {"lpips": {"net": "vgg", "weights": "vgg.npz", "weights_sha256": "ab"}, "extra": "a.B"}}
     kinds = {name: kind for kind, name in settings(record(config=config))}
     assert kinds["metrics.lpips.weights"] == VERSION
+    assert {name for name in kinds if name.startswith("metrics.")} - {ADDED, "metrics.lpips.weights"} == {
+        *protocol_settings(config)
+    }
     assert kinds["metrics.lpips.weights_sha256"] == kinds["metrics.lpips.net"] == PROTOCOL

@@ -14,7 +14,8 @@ import pytest
 from tdgbench.cells.record import read_each
 from tdgbench.files import MB
 from tdgbench.packs import manifest, opened_pack, pack, unpack
-from tdgbench.packs.checklist import checklist
+from tdgbench.packs.checklist import FEWEST_SEEDS, checklist
+from tdgbench.tables import comparisons
 from tdgbench.verify import verify
 from tests.helpers.command import tdgbench_here
 
@@ -248,6 +249,7 @@ def test_a_damaged_record_is_named(small_results, tmp_path, content):
 
 def test_the_checklist_names_what_is_missing(small_results, tmp_path):
     missing = {item.title: item.missing for item in checklist(small_results)}
+    assert FEWEST_SEEDS == comparisons.FEWEST_SEEDS == 3
     assert "seed" not in missing["2 of 3 seeds of each cell"] and "turntable" in missing["2 of 3 seeds of each cell"]
     assert missing["all planned cells"] == f"1 of {len(read_each(small_results))}"
     assert missing["renders of all test views"] == missing["one protocol"] == missing["a log of each training"] == ""

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
+from omegaconf import OmegaConf
 
-from tdgbench.priors import PriorError
+from tdgbench.priors import PriorError, known_depth
 from tdgbench.priors.sfm_points import GRID, POINTS_IN_WINDOW, WINDOW, grid_width, visible_points
+from tdgbench.resources import conf_folder
 from tdgbench.scenes import Camera
 from tests.helpers.scenes import small_dataset
 from tests.priors.estimators import correlation, make
@@ -21,6 +23,11 @@ def test_sfm_points_find_the_depth(data_root, name):
 def test_options_that_leave_no_finite_depth_are_an_error(small_gray_scene):
     with pytest.raises(PriorError, match=r"smoothness=1e-310 .* view001 of turntable no finite depth; raise them"):
         make("sfm_points", smoothness=1e-310).estimate(small_gray_scene, small_gray_scene.train[0])
+
+
+def test_known_depth_hides_points_as_the_prior_does():
+    options = OmegaConf.load(conf_folder() / "prior" / "sfm_points.yaml").estimator
+    assert (options.grid_width, options.occlusion) == (known_depth.GRID_WIDTH, known_depth._OCCLUSION)
 
 
 def test_near_points_hide_far_ones_beside_them():

@@ -11,15 +11,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from omegaconf import OmegaConf
 
 from tdgbench.cells.cell_tables import write_views
 from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import Record
+from tdgbench.resources import conf_folder
 from tdgbench.scenes import Description
 from tdgbench.scoring import METRICS
 from tdgbench.tables.build import build_tables
-from tdgbench.tables.results import Cell, read_results
+from tdgbench.tables.results import UNNAMED, Cell, read_results
 from tdgbench.tables.show import show_tables
 from tdgbench.tables.tables_command import main
 from tests.helpers.records import write
@@ -40,7 +42,8 @@ def test_runs_without_a_name_share_no_table(experiment):
     """Each has cells of its last run's scenes: those of other captures would be rows of n/a."""
     Plan(scenes=[NIGHT], methods=["tdg"]).write(experiment)
     assert {r.scene for r in read_results(experiment).records} == {"orbit", "night"}
-    unnamed = experiment.rename(experiment.with_name("single"))
+    assert OmegaConf.load(conf_folder() / "config.yaml").name == UNNAMED
+    unnamed = experiment.rename(experiment.with_name(UNNAMED))
     assert {r.scene for r in read_results(unnamed).records} == {"night"}
 
 
