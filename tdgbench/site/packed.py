@@ -69,10 +69,13 @@ class Pack:
         with own_columns(self.plan):
             return [name for name in own_metrics() if name in known and not is_of_training(name)]
 
-    def label(self, column: str) -> str:
-        """Return a column's method as the pack prints it."""
+    def label(self, column: str, training: str = "") -> str:
+        """Return a column's method as the pack prints it, without options of the budget that `training` has."""
+        name, _, variant = column.partition(" [")
+        options = [one for one in variant.removesuffix("]").split(",")
+                   if one and not (one.startswith("budget.") and one.removeprefix("budget.") in training)]  # fmt: skip
         with own_columns(self.plan):
-            return methods.label(column)
+            return methods.label(name + (f" [{','.join(options)}]" if options else ""))
 
     @cached_property
     def psnr_intervals(self) -> pd.DataFrame:
@@ -101,7 +104,7 @@ class BoardRow:
     settings: of its protocol. scores: of each of SCORES. own: of the pack's own metrics, by title and meaning. setups:
     what its cells have to share with those of a rival, as JSON. ranks: best and worst one among `rivals` rows of all
     packs, see `ranked`; None for the reason in `unranked`, which may be that it and its rivals are unlike. tied: those
-    that it cannot be told from. twin: another pack with the same cells.
+    that it cannot be told from. twin: which other pack holds its cells too, in words.
     """
 
     pack: Pack
@@ -124,7 +127,7 @@ class BoardRow:
 
     @property
     def label(self) -> str:
-        return self.pack.label(self.column)
+        return self.pack.label(self.column, self.training)
 
     @property
     def is_average(self) -> bool:

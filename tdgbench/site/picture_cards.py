@@ -14,7 +14,7 @@ from tdgbench.cells.protocol import protocol_settings
 from tdgbench.present.colour_scale import ColourScale
 from tdgbench.present.html import STEPS, png
 from tdgbench.present.view_pictures import middle_view, view_pictures, view_scale
-from tdgbench.site.packed import Pack
+from tdgbench.site.packed import Pack, training_in_words
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.results import Cell
 
@@ -35,6 +35,16 @@ class Card:
     pictures: dict[str, np.ndarray] = field(default_factory=dict)  # truth, render, error
     files: dict[str, str] = field(default_factory=dict)  # places of their files
 
+    @property
+    def label(self) -> str:
+        return self.packs[0].label(self.column, training_in_words(self.cell.record))
+
+    @property
+    def training(self) -> str:
+        """What tells it from cells of the same method: iterations, and what its depth prior is made from."""
+        prior = self.cell.record.prior_source.words
+        return f", {self.cell.planned_iterations} iterations{f', prior made from {prior}' if prior else ''}"
+
 
 def cards_of(packs: Sequence[Pack], dataset: str, scene: str) -> list[list[Card]]:
     """Return the cards of a scene: a list for each set of equal test views, in it each method's first seed.
@@ -49,9 +59,10 @@ def cards_of(packs: Sequence[Pack], dataset: str, scene: str) -> list[list[Card]
             if cell.dataset_and_scene == (dataset, scene) and (column, views) not in columns:
                 columns.add((column, views))
                 renders = [h for n, h in sorted(cell.record.hashes.items()) if n.startswith(f"{RENDERS}/")]
-                same = json.dumps([column, renders])
-                card = sections.setdefault(views, {}).setdefault(same, Card(column, cell, []))
-                card.packs.append(pack)
+                section, same = sections.setdefault(views, {}), json.dumps([cell.record.method, renders or column])
+                if same in section and pack in section[same].packs:
+                    same = json.dumps([column, renders])
+                section.setdefault(same, Card(column, cell, [])).packs.append(pack)
     for section in sections.values():
         view = middle_view(card.cell for card in section.values())
         scale = view_scale((card.cell for card in section.values()), view)

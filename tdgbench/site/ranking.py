@@ -25,7 +25,8 @@ def ranked(rows: Iterable[BoardRow]) -> list[BoardRow]:
 
     Rivals have one data set, protocol, budget and scene; averages are over the same scenes. Ranks reach from one more
     than the number of rivals that are better in PSNR (`change_over_seeds`) to that of all that are not worse. A row
-    whose cells another pack holds as well counts once, whatever metrics of its own that pack has.
+    whose cells another pack holds as well counts once, whatever metrics of its own that pack has, and however its
+    options were given.
     """
     groups: dict[tuple[str, ...], list[BoardRow]] = {}
     for row in rows:
@@ -34,21 +35,36 @@ def ranked(rows: Iterable[BoardRow]) -> list[BoardRow]:
 
 
 def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
-    """Rank rivals; one that holds the cells of another pack has its rank."""
-    by_content: dict[object, list[BoardRow]] = {}
+    """Rank rivals; one that holds the cells of another pack has its rank, one that holds some of them has none."""
+    by_content: dict[tuple[object, ...], list[BoardRow]] = {}
     for row in rows:
-        by_content.setdefault((row.column, row.content or row.pack.page), []).append(row)
-    found = []
-    for one, twins in zip(
-        _among_rivals([first for first, *_ in by_content.values()]), by_content.values(), strict=True
-    ):
+        same = row.method, row.records[0].init, row.content or row.pack.page  # however it was asked for
+        if any(one.pack is row.pack for one in by_content.get(same, [])):
+            same = *same, row.column
+        by_content.setdefault(same, []).append(row)
+    wholes = [next((row for row in rows if _is_part(first, row)), None) for first, *_ in by_content.values()]
+    rivals = [first for (first, *_), whole in zip(by_content.values(), wholes, strict=True) if whole is None]
+    of_rivals, found = iter(_among_rivals(rivals)), list[BoardRow]()
+    for twins, whole in zip(by_content.values(), wholes, strict=True):
+        if whole is None:
+            one, *twins = next(of_rivals), *twins[1:]
+            found.append(one)
+            why = f"same cells as {one.pack.name}, ranked once"
+        else:
+            why = f"its cells are among those of {whole.pack.name}"
+            one = replace(twins[0], unranked=why)
         ranks = {name: getattr(one, name) for name in ("ranks", "rivals", "tied", "unranked", "is_unlike")}
-        found.append(one)
-        for row in twins[1:]:
+        for row in twins:
             is_bold = [own.bold and own.value == cell.value for own, cell in zip(one.scores, row.scores, strict=True)]
             scores = [cell._replace(bold=bold) for cell, bold in zip(row.scores, is_bold, strict=True)]
-            found.append(replace(row, **ranks, scores=tuple(scores), twin=one.pack.name))
+            found.append(replace(row, **ranks, scores=tuple(scores), twin=why))
     return found
+
+
+def _is_part(row: BoardRow, whole: BoardRow) -> bool:
+    """Return whether another pack's row has all cells of a row, and more."""
+    is_alike = (row.method, row.records[0].init) == (whole.method, whole.records[0].init)
+    return is_alike and row.pack is not whole.pack and bool(row.content) and row.content < whole.content
 
 
 def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:

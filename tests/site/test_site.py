@@ -123,13 +123,15 @@ def test_a_board_states_the_settings_of_its_protocol(tmp_path):
 def test_ranks_are_across_packs_and_of_like_trainings(tmp_path):
     """One seed has no rank; another budget has a table; equal cells count once, also with a metric of one's own."""
     cells = (("a", "tdg", (30.0, 30.2, 30.1), {}), ("b", "msmg", (25.0, 25.1, 25.3), {}), ("c", "3dgs", (40.0,), {}),
-             ("d", "msmg", (20.0, 20.1), {"iterations": 9}), ("e", "tdg", (30.0, 30.2, 30.1), {}))  # fmt: skip
+             ("d", "msmg", (20.0, 20.1), {"iterations": 9}), ("f", "msmg", (20.0,), {"iterations": 9}),
+             ("e", "tdg", (30.0, 30.2, 30.1), {}))  # fmt: skip
     packs = []
     for name, method, psnr, budget in cells:
         for seed, value in enumerate(psnr):
             options, own = {"budget": {"name": "demo", **budget}}, {"edges": 7.0 + seed} if name in "be" else {}
             hashes = {"model.ply": f"{len(method)}{seed}" * 32, "views.csv": f"{name}{seed}" * 32}
             fields = {"scores": {"psnr": value, **own}, "config": options, "hashes": hashes}
+            fields["variant"] = "budget.iterations=9,lr=2" if name == "f" else ""
             write(tmp_path / name, method, "Shed", "mine", seed=seed, **fields)
         entries = {"edges": MetricEntry("sharpness", "of edges", "dB", 1, True, (None, None), "")} if own else {}
         Plan(own_metrics=entries).write(tmp_path / name)
@@ -140,11 +142,13 @@ def test_ranks_are_across_packs_and_of_like_trainings(tmp_path):
     assert [(row[0], *row[1:4:2], row[-1]) for row in rows_of_index(folder)] == [
         ("1", "TDg", "30.10 ± 0.10", "a.zip"), ("1", "TDg", "30.10 ± 0.10", "e.zip same cells as a.zip, ranked once"),
         ("2", "MSMG", "25.13 ± 0.15", "b.zip"), ("–", "3DGS", "40.00", "c.zip"), ("–", "MSMG", "20.05 ± 0.07", "d.zip"),
+        ("–", "MSMG [lr=2]", "20.00", "f.zip its cells are among those of d.zip"),
     ]  # fmt: skip
     assert "budget demo, protocol" in index and "budget demo with iterations=9, protocol" in index
     assert re.findall(r"<b>(\d\d\.\d\d) ±", index) == ["30.10", "30.10"]
     assert sorted(re.findall(r"<text[^>]*>([^\d\W]\w+|3DGS)</text>", index)) == ["3DGS", "MSMG", "TDg"]
-    assert [row[8] for row in rows_of_index(folder)] == ["n/a", "8.0 ± 1.0", "8.0 ± 1.0", "n/a", "2"]
+    assert [row[8] for row in rows_of_index(folder)] == ["n/a", "8.0 ± 1.0", "8.0 ± 1.0", "n/a", "2", "1"]
+    assert 'MSMG</a><span class="soft">, 9 iterations</span>' in (folder / "scenes" / "mine" / "Shed.html").read_text()
     of_pack = next(page for page in (folder / "packs").glob("*.html") if "<h1>b.zip" in page.read_text()).read_text()
     assert "sharpness, dB ↑ *" in index and "sharpness, dB ↑: of edges." in index and "sharpness" in of_pack
 
