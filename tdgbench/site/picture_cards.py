@@ -59,7 +59,8 @@ def cards_of(packs: Sequence[Pack], dataset: str, scene: str) -> list[list[Card]
             if cell.dataset_and_scene == (dataset, scene) and (column, views) not in columns:
                 columns.add((column, views))
                 renders = [h for n, h in sorted(cell.record.hashes.items()) if n.startswith(f"{RENDERS}/")]
-                section, same = sections.setdefault(views, {}), json.dumps([cell.record.method, renders or column])
+                section = sections.setdefault(views, {})
+                same = json.dumps([cell.record.method, renders or [pack.page, column]])
                 if same in section and pack in section[same].packs:
                     same = json.dumps([column, renders])
                 section.setdefault(same, Card(column, cell, [])).packs.append(pack)
