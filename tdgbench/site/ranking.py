@@ -38,7 +38,11 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
     """Rank rivals; one that holds the cells of another pack has its rank, one that holds some of them has none."""
     by_content: dict[tuple[object, ...], list[BoardRow]] = {}
     for row in rows:
-        same = row.method, row.records[0].init, row.content or row.pack.page  # however it was asked for
+        same: tuple[object, ...] = (
+            row.method,
+            row.records[0].init,
+            row.content or row.pack.page,
+        )  # however it was asked for
         if any(one.pack is row.pack for one in by_content.get(same, [])):
             same = *same, row.column
         by_content.setdefault(same, []).append(row)

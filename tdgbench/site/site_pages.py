@@ -46,10 +46,11 @@ from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
+from tdgbench.tables.findings import BEFORE_A_PLATEAU, ended_by_its_budget
 from tdgbench.tables.grids import SCENE_KEYS, reasons_for_na
 from tdgbench.tables.likeness import setups
 from tdgbench.tables.long_table import method_label, metric_value
-from tdgbench.tables.measures import as_text, measure_of
+from tdgbench.tables.measures import AVERAGE, as_text, measure_of
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
 from tdgbench.tables.results import Cell
 from tdgbench.terminal import errors_in_one_line, say
@@ -198,18 +199,19 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
         averages = Counter(tuple(row.scenes) for row in group if row.is_average)
         widest = list(averages.most_common(1)[0][0]) if averages else group[0].scenes
         facts = list(group[0].facts)
+        shown = [i for i, name in enumerate(SCORES)
+                 if name != ERROR or any(not isnan(row.scores[i].value) for row in group)]  # fmt: skip
         boards.append({
             "dataset": dataset, "protocol": protocol, "training": training, "rows": group,
             "settings": {name: json.dumps(value) for name, value in group[0].settings.items()},
-            "shown": [i for i, name in enumerate(SCORES)
-                      if name != ERROR or any(not isnan(row.scores[i].value) for row in group)],
+            "shown": shown,
             "behind": [[row.label, row.pack.name, row.scene, head, cell.title] for row in group
                        for head, cell in zip(HEADS, row.scores, strict=True) if cell.note],
             "facts": [name for name in facts if any(row.facts[name] != "n/a" for row in group)],
             "plots": plots([row for row in group if row.scenes == widest] if averages else group),
             "own": sorted({key for row in group for key in row.own}),
             "unlike": _scenes_by_reason(group), "means_unlike": any(row.is_average and row.is_unlike for row in group),
-            "palette": palette_in_words(group), "caveats": _caveats(group), "reasons": _reasons(group),
+            "palette": palette_in_words(group), "caveats": _caveats(group), "reasons": _reasons(group, shown),
         })  # fmt: skip
     for board in boards:
         others = [one["settings"] for one in boards if one["dataset"] == board["dataset"]]
@@ -225,18 +227,21 @@ def _caveats(rows: Sequence[BoardRow]) -> list[str]:
         for record in row.records:
             given.setdefault(record.prior_source.in_full, {})[row.pack.label(row.method)] = None
     found = ["Built-in scenes: no evidence on the paper."] if is_built_in(rows[0].dataset) else []
+    if all(ended_by_its_budget(record) for row in rows for record in row.records):
+        found.append(f"{BEFORE_A_PLATEAU}.")
     return found + [f"The depth prior of {', '.join(who)} is made from {what}." for what, who in given.items() if what]
 
 
-def _reasons(rows: Sequence[BoardRow]) -> list[str]:
-    """Return why scores of a leaderboard are n/a."""
+def _reasons(rows: Sequence[BoardRow], columns: Sequence[int]) -> list[str]:
+    """Return why scores of a leaderboard are n/a. columns: those that are shown."""
     found: dict[str, None] = {}
     for pack in dict.fromkeys(row.pack.page for row in rows):
         of_pack = [row for row in rows if row.pack.page == pack]
         main = of_pack[0].pack.tables.main.set_index(SCENE_KEYS, drop=False)
         places = [(row.dataset, row.scene, row.column) for row in of_pack]
         with own_columns(of_pack[0].pack.plan):
-            found |= dict.fromkeys(reasons_for_na(main[main.index.isin(places)].reset_index(drop=True), SCORES))
+            shown = main[main.index.isin(places)].replace({"scene": {AVERAGE: "the mean"}}).reset_index(drop=True)
+            found |= dict.fromkeys(reasons_for_na(shown, [SCORES[i] for i in columns]))
     return list(found)
 
 

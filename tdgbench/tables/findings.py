@@ -46,6 +46,7 @@ from tdgbench.tables.verdicts import (
 from tdgbench.text import named, one_line
 
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
+BEFORE_A_PLATEAU = "All trainings stopped at their last iteration, before a plateau of the loss; longer ones may differ"
 
 
 def findings_of_methods(
@@ -80,8 +81,8 @@ def findings_of_ablation(
 
 def _caveats(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     """Yield what the findings of a main table are no evidence of."""
-    if records and all(map(_ended_by_its_budget, records)):
-        yield "All trainings stopped at their last iteration, before a plateau of the loss; longer ones may differ"
+    if records and all(map(ended_by_its_budget, records)):
+        yield BEFORE_A_PLATEAU
     scenes = main[~_is_average(main)]
     once = f"one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
     data_sets = set(scenes["dataset"])
@@ -93,7 +94,7 @@ def _caveats(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
         yield f"{what}, and {once}" if once else what
 
 
-def _ended_by_its_budget(record: Record) -> bool:
+def ended_by_its_budget(record: Record) -> bool:
     """Return whether a training could have ended at a plateau, and ran all of its iterations."""
     could_end = any(skip["name"] == "plateau" and skip["allowed"] for skip in record.skips)
     return could_end and record.iterations == planned_iterations(record)

@@ -132,6 +132,9 @@ def test_ranks_are_across_packs_and_of_like_trainings(tmp_path):
             hashes = {"model.ply": f"{len(method)}{seed}" * 32, "views.csv": f"{name}{seed}" * 32}
             fields = {"scores": {"psnr": value, **own}, "config": options, "hashes": hashes}
             fields["variant"] = "budget.iterations=9,lr=2" if name == "f" else ""
+            if budget:
+                skip = {"name": "plateau", "allowed": True, "taken": False, "reason": "", "saved": ""}
+                fields |= {"iterations": 9, "skips": [skip]}
             write(tmp_path / name, method, "Shed", "mine", seed=seed, **fields)
         entries = {"edges": MetricEntry("sharpness", "of edges", "dB", 1, True, (None, None), "")} if own else {}
         Plan(own_metrics=entries).write(tmp_path / name)
@@ -148,6 +151,7 @@ def test_ranks_are_across_packs_and_of_like_trainings(tmp_path):
     assert re.findall(r"<b>(\d\d\.\d\d) ±", index) == ["30.10", "30.10"]
     assert sorted(re.findall(r"<text[^>]*>([^\d\W]\w+|3DGS)</text>", index)) == ["3DGS", "MSMG", "TDg"]
     assert [row[8] for row in rows_of_index(folder)] == ["n/a", "8.0 ± 1.0", "8.0 ± 1.0", "n/a", "2", "1"]
+    assert index.count("before a plateau") == 1 and "n/a: temperature error" not in index  # a column without numbers
     of_scene = (folder / "scenes" / "mine" / "Shed.html").read_text()
     assert 'MSMG</a><span class="soft">, 9 iterations</span>' in of_scene
     of_pack = next(page for page in (folder / "packs").glob("*.html") if "<h1>b.zip" in page.read_text()).read_text()
