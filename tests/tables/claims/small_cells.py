@@ -28,7 +28,8 @@ def cell(folder: Path, method="tdg", gain=0.0, *, scene="a", seed=0, init="colma
     """
     less = 0.5**gain
     record = Record(method, "mine", scene, init, seed, "made", "", iterations=iterations)
-    record.config = {"method": {"method": {"decay_end": 0.5}}, "budget": {"iterations": iterations}}
+    own = {"decay_end": 0.5} if method.startswith("tdg") else {}
+    record.config = {"method": {"method": own}, "budget": {"iterations": iterations}}
     record.scores = {
         "psnr": 30 + 3 * gain, "ssim": 1 - 0.1 * less, "lpips": 0.1 * less, "rgb_psnr": 30 + 3 * gain,
         "depth_abs_rel": 0.1 * less, "floaters": 0.4 - 0.1 * gain, "depth_inconsistency": None,
