@@ -12,6 +12,7 @@ from tdgbench.scenes.modalities import LABELS, THERMAL
 from tdgbench.scoring.scored_view import ImagePair, ScoredView
 
 LPIPS_OPTIONS = ("lpips_range", "lpips.net", "lpips.weights_sha256")
+FAILED = "failed: "  # begins why a metric of the user is n/a whose code raised an error
 SLACK = 1e-6  # of limits, against rounding
 AFTER_THERMAL = 40  # places in `order` by which metrics of other modalities follow those of thermal images
 

@@ -17,7 +17,7 @@ from pydantic import AfterValidator
 from tdgbench.scenes import Scene, View
 from tdgbench.scoring.backbones import BackboneUnavailableError, Net
 from tdgbench.scoring.lpips import LPIPS, Range
-from tdgbench.scoring.metric import Metric, MetricError
+from tdgbench.scoring.metric import FAILED, Metric, MetricError
 from tdgbench.scoring.registry import METRICS, extra_metrics, on_training_views, with_extra
 from tdgbench.scoring.scored_view import (
     Border,
@@ -145,7 +145,7 @@ def _scored(shown: ScoredView, metrics: Iterable[Metric]) -> tuple[Scores, dict[
         except Exception as error:  # the user's code may raise anything; it costs no training and no other score
             if metric.name in METRICS or isinstance(error, MemoryError):
                 raise
-            scores[metric.name], missing[metric.name] = None, MetricFault(f"failed: {_in_words(error)}")
+            scores[metric.name], missing[metric.name] = None, MetricFault(f"{FAILED}{_in_words(error)}")
     return scores, missing
 
 

@@ -130,6 +130,11 @@ class BoardRow:
         return self.pack.label(self.column, self.training)
 
     @property
+    def started(self) -> tuple[str, str]:
+        """The method and its initial points, without options."""
+        return self.method, self.records[0].init
+
+    @property
     def is_average(self) -> bool:
         return self.scene in AVERAGES
 

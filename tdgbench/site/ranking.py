@@ -38,11 +38,7 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
     """Rank rivals; one that holds the cells of another pack has its rank, one that holds some of them has none."""
     by_content: dict[tuple[object, ...], list[BoardRow]] = {}
     for row in rows:
-        same: tuple[object, ...] = (
-            row.method,
-            row.records[0].init,
-            row.content or row.pack.page,
-        )  # however it was asked for
+        same: tuple[object, ...] = *row.started, row.content or row.pack.page  # however its options were given
         if any(one.pack is row.pack for one in by_content.get(same, [])):
             same = *same, row.column
         by_content.setdefault(same, []).append(row)
@@ -67,8 +63,8 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
 
 def _is_part(row: BoardRow, whole: BoardRow) -> bool:
     """Return whether another pack's row has all cells of a row, and more."""
-    is_alike = (row.method, row.records[0].init) == (whole.method, whole.records[0].init)
-    return is_alike and row.pack is not whole.pack and bool(row.content) and row.content < whole.content
+    is_other = row.pack is not whole.pack and row.started == whole.started
+    return is_other and bool(row.content) and row.content < whole.content
 
 
 def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:

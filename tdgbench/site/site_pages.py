@@ -84,9 +84,9 @@ def write_site(packs: Sequence[Pack], folder: Path, title: str = "") -> int:
     cells = [cell for pack in packs for cell in pack.cells]
     truths, alike = truth_groups(cells), setups([cell.record for cell in cells], with_length=True)
     by_folder = {
-        cell.folder: json.dumps({**json.loads(others)[-1], **own, "ground truth": truths[cell.folder],
+        cell.folder: json.dumps({**json.loads(setup)[-1], "ground truth": truths[cell.folder],
                                  **{name: getattr(cell.record, name) for name in MEASURED_ON}})
-        for cell, (others, own) in zip(cells, map(json.loads, alike), strict=True)
+        for cell, setup in zip(cells, alike, strict=True)
     }  # fmt: skip
     rows = ranked(row for pack in packs for row in rows_of(pack, by_folder))
     if not rows:

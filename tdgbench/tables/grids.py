@@ -11,6 +11,7 @@ import pandas as pd
 
 from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scenes.registry import DATASETS
+from tdgbench.scoring.metric import FAILED
 from tdgbench.tables import methods
 from tdgbench.tables.comparisons import bold_note
 from tdgbench.tables.long_table import NO_RECORD, RANGE, initial_points, protocol_notes
@@ -33,7 +34,6 @@ from tdgbench.text import named
 
 SPREAD = "± is the standard deviation over seeds"
 TIMES = "times: training of all models of a method, an RGB model too, without making depth priors"
-FAILED = "failed: "  # how a reason of a user's metric begins that raised an error
 SCENE_KEYS = ["dataset", "scene", "method"]
 ERROR, RANGE_TITLE = "mae_degC", "range, °C"
 ABLATION_KEYS = ["method", "init", "metric"]

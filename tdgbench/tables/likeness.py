@@ -139,7 +139,7 @@ def setups(records: Sequence[Record], timed: bool = False, with_length: bool = F
     of a version before there was the option.
     """
     left_out = ("budget", "prior", *(() if timed else MACHINE), *(() if with_length else ("iterations",)))
-    cells, stated = [], dict[tuple[str, str], set[Hashable]]()
+    cells, stated = [], dict[tuple[str, str], set[Hashable]]()  # stated: by authors, of cells that are alike otherwise
     for record, traits in zip(records, _traits(records), strict=True):
         kept = {
             name: value for name, value in traits.items()
@@ -147,16 +147,17 @@ def setups(records: Sequence[Record], timed: bool = False, with_length: bool = F
         }  # fmt: skip
         place = [record.dataset, record.scene, record.split]
         others = {name: value for name, value in kept.items() if name not in OWN}
-        cells.append((json.dumps([*place, others], sort_keys=True, default=str), kept))
-        for name in kept.keys() & OWN:
-            if isinstance(kept[name], _Own):
-                stated.setdefault((cells[-1][0], name), set()).add(_plain(kept[name]))
-    unequal = {place for place, values in stated.items() if len(values) > 1}  # else the number itself is compared
+        alike = json.dumps([*place, others], sort_keys=True, default=str)
+        cells.append((place, alike, kept))
+        for name, value in kept.items():
+            if isinstance(value, _Own):
+                stated.setdefault((alike, name), set()).add(_plain(value))
+    unequal = {one for one, values in stated.items() if len(values) > 1}  # else the number itself is compared
     found = []
-    for setup, kept in cells:
-        own = {name: AUTHORS if isinstance(kept[name], _Own) and (setup, name) in unequal else _plain(kept[name])
-               for name in kept.keys() & OWN}  # fmt: skip
-        found.append(json.dumps([setup, own], sort_keys=True, default=str))
+    for place, alike, kept in cells:
+        shown = {name: AUTHORS if (alike, name) in unequal and isinstance(value, _Own) else _plain(value)
+                 for name, value in kept.items()}  # fmt: skip
+        found.append(json.dumps([*place, shown], sort_keys=True, default=str))
     return found
 
 

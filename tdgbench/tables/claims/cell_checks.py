@@ -171,8 +171,8 @@ def _has_density_control(cell: Cell) -> bool:
         rules = budget_of(cell.record).density
     except ValueError:
         return True
-    first = (rules.start // rules.every + 1) * rules.every
-    return rules.is_round(first, cell.planned_iterations)
+    length = cell.planned_iterations
+    return any(rules.is_round(iteration, length) for iteration in range(rules.every, length + 1, rules.every))
 
 
 def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[CellPair]) -> list[Finding]:
