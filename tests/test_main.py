@@ -90,6 +90,7 @@ def test_a_sweep_runs(tmp_path, data_root, experiment):
             (),
             (),
             {"methods.msmg.MSMG", "methods.tdg.TDg"},
+            0,
         )
         assert "<svg" in (tmp_path / "results" / "demo" / "report.html").read_text()
     else:  # the paper's data is missing: one error for all scenes, n/a everywhere, exit status 1

@@ -174,7 +174,8 @@ class FolderDataset(Outlines):
             return f"{root} does not exist; set data.root=DIR"
         if there and not any(is_folder(root / name) for name in names):
             return f"{', '.join(names)} not found in {root}; scenes there: {there}"
-        layouts = f"`tdgbench data check {shlex.quote(str(root))}` lists the layouts"
+        empty = next((root / name for name in names if is_folder(root / name)), root)
+        layouts = f"`tdgbench data check {shlex.quote(str(empty))}` lists the layouts"
         hint = layouts if self.layout is None else f"a scene is a folder with {self.layout.looks}"
         if not there:
             return f"no scene in {root}; set data.root=DIR, where no name begins with a dot; {hint}"

@@ -73,12 +73,12 @@ def compared_methods() -> list[Effect]:
 
 
 def reading_label(record: Record) -> str:
-    """Return the method with what a sweep names but the iterations, which have a column.
+    """Return the method with what a sweep names but iterations and split, which have columns.
 
     >>> reading_label(Record("tdg", "", "a", "colmap", 0, "", "budget.iterations=9,prior=files"))
     'tdg [prior=files]'
     """
-    named = (one for one in record.variant.split(",") if not one.startswith("budget.iterations="))
+    named = (one for one in record.variant.split(",") if not one.startswith(("budget.iterations=", "data.split=")))
     return method_label(replace(record, variant=",".join(named)), with_init=False)
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from tdgbench.scenes import FolderDataset, MissingScenesError, ReadOptions, RegisteredDataset, SceneError
 from tdgbench.scenes.layouts import LAYOUTS, detect
+from tests.helpers.command import tdgbench_here
 from tests.helpers.layouts import LAYOUTS as SHIPPED
 from tests.helpers.scenes import load
 
@@ -32,7 +33,9 @@ def test_a_folder_of_scenes_in_all_layouts(small_gray_scene, tmp_path):
     assert dataset.names() == sorted(SHIPPED)
     with pytest.raises(MissingScenesError) as error:
         dataset.load("empty")
-    assert all(layout.looks in str(error.value) for layout in LAYOUTS.values())
+    assert f"`tdgbench data check {tmp_path / 'captures' / 'empty'}` lists the layouts" in str(error.value)
+    run = tdgbench_here(tmp_path, "data", "check", "captures/empty")
+    assert all(layout.looks in run.stderr for layout in LAYOUTS.values())
 
 
 def test_registered_scenes_may_have_any_layout(small_gray_scene, tmp_path):
