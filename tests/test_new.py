@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from unittest import mock
-
 import pytest
 
 from tdgbench.cells.record import read_all
 from tests.helpers.command import command_here, tdgbench, tdgbench_here
 from tests.helpers.configs import QUICK
+from tests.helpers.modules import forgotten
 from tests.helpers.page import FILE, PAGES
 
 
@@ -24,7 +22,7 @@ def test_a_written_method_trains(tmp_path, data_root):
     written = tdgbench_here(tmp_path, "new", "method", "my_method")
     assert written.stdout.startswith("wrote my_method.py and yaml/method/my_method.yaml; "), written.stderr
     words = ("--config-dir", "yaml", "method=my_method", "scene=turntable", f"data.root={data_root}", *QUICK)
-    with mock.patch.dict(sys.modules):  # it is forgotten
+    with forgotten(tmp_path):
         run = command_here(tmp_path, *words)
     assert run.returncode == 0 and "1 cell run" in run.stdout, run.stderr[-3000:]
     (record,) = read_all(tmp_path / "results" / "single")

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import logging.config
-import sys
 import textwrap
-from unittest import mock
 
 import pytest
 from omegaconf import OmegaConf
@@ -15,6 +13,7 @@ from tdgbench.bench.options import OptionError
 from tdgbench.experiments.experiment import check_results_folder, experiment_of
 from tests.helpers.command import command_here
 from tests.helpers.configs import config
+from tests.helpers.modules import forgotten
 
 CODE = """
     from pathlib import Path
@@ -56,7 +55,7 @@ def squares(tmp_path, monkeypatch):
 
     def run(*overrides, flags=()):
         flags_first = ("--config-dir", str(tmp_path / "conf"), *flags)
-        with mock.patch.dict(sys.modules):  # its module is forgotten
+        with forgotten(tmp_path):
             return command_here(tmp_path, *flags_first, "+experiment=squares", *overrides)
 
     run.log = tmp_path / "results" / "squares" / "log.txt"

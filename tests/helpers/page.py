@@ -10,6 +10,7 @@ from pathlib import Path
 
 from tdgbench.__main__ import main
 from tdgbench.cells import known_classes
+from tests.helpers.modules import forget_modules
 from tests.helpers.paths import ROOT
 
 FILE = re.compile(r"^`([\w./]+)`[^`\n]*:\n\n```(?:python|yaml)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
@@ -43,12 +44,7 @@ class Page:
 
     def forget_modules(self) -> None:
         """Remove the page's modules from Python's, for the next test."""
-        for name, module in list(sys.modules.items()):
-            if str(getattr(module, "__file__", None) or "").startswith(str(self.folder)):
-                parent, _, child = name.rpartition(".")
-                if parent in sys.modules and hasattr(sys.modules[parent], child):
-                    delattr(sys.modules[parent], child)
-                del sys.modules[name]
+        forget_modules(self.folder)
 
     def run(self, *small: str) -> int:
         """Run the page's command with further overrides in this process; return the exit status."""

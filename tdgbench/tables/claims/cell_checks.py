@@ -190,7 +190,12 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[CellP
     machines = len({pair.mine.machine for pair, _ in both}) if quantity.timed else 1
     several = f" on {machines} machines or numbers of threads" if machines > 1 else ""
     grounds = f"{quantity.label}, {names} at {lengths}: {value}, {counts_in_words(gain)}{several}"
-    return [Finding(judge_gain(gain, quantity.least_gain(margin)), grounds)]
+    least = quantity.least_gain(margin)
+    verdict = judge_gain(gain, least)
+    if verdict == UNDECIDED and 0 < gain.low <= least:
+        by = f"{100 * margin:g} %" if quantity.ratio else f"{margin:g}{quantity.unit}"
+        grounds += f": better, undecided whether by the {by} that the claim needs"
+    return [Finding(verdict, grounds)]
 
 
 def _pairs_with(

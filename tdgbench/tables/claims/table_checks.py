@@ -93,10 +93,16 @@ def minutes_saved(claim: Claim, evidence: ClaimEvidence) -> Finding:
 
 def better_scenes(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that the paper's method is better at every scene of `dataset`, but for as many `exceptions` by metric."""
-    gains = _gains(claim, evidence, claim.metrics)
+    gains, (new, old) = _gains(claim, evidence, claim.metrics), map(methods.label, methods.paper_pair())
+
+    def values(gain: MethodGain) -> str:
+        if evidence.printed:
+            return f"{gain.scene} {gain.change}"
+        before, after = (measures.as_text(gain.metric, value, gain.scene) for value in (gain.old, gain.new))
+        return f"{gain.scene} ({old} {before}, {new} {after})"
 
     def exceptions(of: list[MethodGain]) -> dict[str, list[str]]:
-        return {m: [f"{gain.scene} {gain.change}" for gain in of if gain.metric == m] for m in claim.metrics}
+        return {m: [values(gain) for gain in of if gain.metric == m] for m in claim.metrics}
 
     def few(of: dict[str, list[str]]) -> bool:
         return all(len(found) <= claim.exceptions.get(metric, 0) for metric, found in of.items())
