@@ -145,18 +145,24 @@ class Renders(Method):
         files, masks = [self.images.for_view(view.name).numpy() for view in scene.test], masks[: len(scene.test)]
         alike = details(files, masks) @ shown.T
         own, best = alike.diagonal(), alike.argmax(axis=1)
-        others = fits_better(alike.max(axis=1), own)
-        flips = {
-            flip: (details((np.flip(file, axes) for file in files), masks) * shown[: len(own)]).sum(axis=1)
-            for flip, axes in FLIPS.items()
-        }
-        flip = max(flips, key=lambda name: flips[name].mean())
-        flipped = int(fits_better(flips[flip], np.abs(own)).sum())
-        if flipped > len(own) / 2:
-            return [f"{self.name}: {flipped} of {len(own)} renders look more like their image {flip}; flip them"]
+        turned = np.stack([
+            (details((np.flip(file, axes) for file in files), masks) * shown[: len(own)]).sum(axis=1)
+            for axes in FLIPS.values()
+        ])  # fmt: skip
+        is_flipped, doubts, count = fits_better(turned.max(axis=0), np.abs(own)), list[str](), len(own)
+        for flip, is_this in zip(FLIPS, turned.argmax(axis=0) == np.arange(len(FLIPS))[:, None], strict=True):
+            these = [view.name for view, one in zip(scene.test, is_flipped & is_this, strict=True) if one]
+            which = f" ({named(sorted(these))})" * (len(these) < count)
+            if these:
+                doubts.append(
+                    f"{self.name}: {len(these)} of {count} renders look more like their image {flip}{which}; flip them"
+                )
+        if is_flipped.sum() > count / 2:
+            return doubts
         if np.median(own) < -LEAST:
             return [f"{self.name}: the renders are dark where the images are bright; is their palette inverted?"]
-        doubts, count, unlike = list[str](), len(own), (own < LEAST) & ~others
+        others = fits_better(alike.max(axis=1), own) & ~is_flipped
+        unlike = (own < LEAST) & ~others & ~is_flipped
         if others.any():
             pairs = [f"{views[i].name} shows {views[best[i]].name}" for i in np.flatnonzero(others)]
             doubts.append(

@@ -31,7 +31,6 @@ from tdgbench.tables.results import Cell, Results
 from tdgbench.tables.verdicts import comparable, load_margins, verdicts_in_words
 from tdgbench.text import named
 
-FILE = "report.html"
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 MOST_BYTES = 2_000_000
 
@@ -46,9 +45,8 @@ def write_report(tables: Tables) -> Path:
         html = pages.get_template("report_page.html.j2").render(**content, step=step)
         if len(html.encode()) <= MOST_BYTES:
             break
-    path = tables.results.folder / FILE
-    write_text(path, html)
-    return path
+    write_text(tables.results.report, html)
+    return tables.results.report
 
 
 def _content(tables: Tables) -> dict[str, Any]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from tdgbench import __version__
+from tdgbench.bench.commit import commit_in_words
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import READ_PHASE, Record
 from tdgbench.tables import methods
@@ -24,6 +26,7 @@ def run_facts(plan: Plan, records: Sequence[Record]) -> list[tuple[str, list[str
     return [
         ("commands" if len(commands) > 1 else "command", commands or [NOT_STATED]),
         *((title, said(fact, records)) for title, fact in facts.items() if records),
+        ("this page", [f"made by tdgbench {__version__} ({commit_in_words()})"]),
     ]
 
 

@@ -155,7 +155,9 @@ def _compare(pair: MethodPair, cells: pd.DataFrame, main: pd.DataFrame, finished
     places = zip(both["dataset"], both["scene"], both["seed"], both["metric"] == HOURS.name, strict=True)
     dropped = np.array([(d, s) in unlike or (timed and (d, s, seed) in unlike) for d, s, seed, timed in places], bool)
     by_seed = seed_values(both.assign(value=both["value"].where(~dropped)))
+    printed = main[KEYS[1:]].drop_duplicates()  # a table of one data set has no overall average
     new, old = (by_seed.xs(method, level="method") for method in pair)
+    new, old = (side[side.index.isin(pd.MultiIndex.from_frame(printed))] for side in (new, old))
     rows = [
         [*place, *change_over_seeds(place[-1], new.loc[place].to_numpy(float), old.loc[place].to_numpy(float))]
         for place in new.index
@@ -163,26 +165,46 @@ def _compare(pair: MethodPair, cells: pd.DataFrame, main: pd.DataFrame, finished
     changes = pd.DataFrame(rows, columns=[*KEYS[1:], *Change._fields])
     reasons, is_none = main.set_index(KEYS)["reason"], changes["seeds"] == 0
     changes["reason"] = ""
-    changes.loc[is_none, "reason"] = [_why_none(pair, place, reasons, unlike) for place in new.index[is_none]]
+    for row, place in zip(changes.index[is_none], new.index[is_none], strict=True):  # averages come after their scenes
+        changes.loc[row, "reason"] = _why_none(pair, place, reasons, unlike, changes)
     changes.loc[is_none, "verdict"] = NEVER
     return MethodComparison(pair, changes, paired_tests(changes, main[main["method"].isin(pair)]))
 
 
 def _why_none(
-    pair: MethodPair, place: tuple[str, ...], reasons: pd.Series, unlike: Collection[tuple[object, ...]]
+    pair: MethodPair,
+    place: tuple[str, ...],
+    reasons: pd.Series,
+    unlike: Collection[tuple[object, ...]],
+    changes: pd.DataFrame,
 ) -> str:
-    """Return why a pair has no seed in common. place: KEYS but the method. reasons: why a number is n/a, by KEYS."""
+    """Return why a pair has no seed in common. place: KEYS but the method. reasons: why a number is n/a, by KEYS.
+
+    changes: those of scenes have their reasons, from which those of averages follow.
+    """
     lacking = {method: why for method in pair if (why := reasons.get((method, *place), ""))}
     if len(lacking) == len(pair) and len({*lacking.values()}) == 1:
         return lacking[pair.method]
     if lacking:
         return "; ".join(f"{methods.label(method)}: {why}" for method, why in lacking.items())
     dataset, _, scene, metric = place
+    if scene in ROWS_OF_AVERAGES:
+        return _why_no_average(changes[changes["dataset"].isin([dataset] if dataset else changes["dataset"])], metric)
     if (dataset, scene) in unlike:
         return "unlike trainings"
     if metric == HOURS.name and any(found[:2] == (dataset, scene) for found in unlike):
         return "times of two machines"
-    return "no seed in common" if scene not in ROWS_OF_AVERAGES else "no seed in common that every scene has"
+    return "no seed in common"
+
+
+def _why_no_average(changes: pd.DataFrame, metric: str) -> str:
+    """Return why an average over scenes has no seed. changes: of the scenes, and of averages, which do not count."""
+    scenes = changes[(changes["metric"] == metric) & ~changes["scene"].isin(ROWS_OF_AVERAGES)]
+    without = scenes[scenes["seeds"] == 0]
+    if without.empty:
+        return "no seed in common that every scene has"
+    why = " or ".join(dict.fromkeys(without["reason"]))
+    return why if len(without) == len(scenes) else f"{len(without)} of {len(scenes)} scenes: {why}"
 
 
 def _unlike(pair: MethodPair, main: pd.DataFrame, finished: Sequence[Cell]) -> set[tuple[object, ...]]:

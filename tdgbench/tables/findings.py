@@ -232,6 +232,7 @@ def _certainty(place: pd.DataFrame, main: pd.DataFrame) -> list[str]:
     if seeds < 2:
         return [f"one seed decides nothing: {usual_spread(main)}"]
     shared = " that both have" if seeds < main["seeds"].max() else ""
+    shared += ", not over scenes" if _is_average(place).any() else ""
     has_any = any(map(_has_interval, place.itertuples()))
     return [f"in brackets: 95 % intervals over {seeds} seeds{shared}"] if has_any else []
 

@@ -13,7 +13,7 @@ from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.scoring.metric import FAILED
 from tdgbench.tables import methods
-from tdgbench.tables.comparisons import bold_note
+from tdgbench.tables.comparisons import FEWEST_SEEDS, bold_note
 from tdgbench.tables.long_table import NO_RECORD, RANGE, initial_points, protocol_notes
 from tdgbench.tables.measures import (
     ABLATION,
@@ -32,6 +32,7 @@ from tdgbench.tables.palette import is_marked, palette_notes, with_mark
 from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.text import named
 
+NO_BOLD = f"no bold type: it needs {FEWEST_SEEDS} seeds"
 SPREAD = "± is the standard deviation over seeds"
 TIMES = "times: training of all models of a method, an RGB model too, without making depth priors"
 SCENE_KEYS = ["dataset", "scene", "method"]
@@ -72,7 +73,10 @@ def _usual_columns(main: pd.DataFrame) -> tuple[str, ...]:
 
 
 def _number_notes(main: pd.DataFrame) -> list[str]:
-    return [*([bold_note()] if main["bold"].any() else []), *[SPREAD] * bool(main["std"].notna().any())]
+    known = main[main["value"].notna()]
+    several = len(known[["method", "init"] if "init" in main else ["method"]].drop_duplicates()) > 1
+    bold = [bold_note()] if main["bold"].any() else [NO_BOLD] * bool(several and known["seeds"].max() < FEWEST_SEEDS)
+    return [*bold, *[SPREAD] * bool(main["std"].notna().any())]
 
 
 def further_grid(main: pd.DataFrame) -> Grid | None:

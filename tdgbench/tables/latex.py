@@ -102,11 +102,7 @@ def setup_notes(records: Sequence[Record], timed: bool) -> list[str]:
     seeds = Counter((method_label(one, with_init=True), one.dataset, one.scene) for one in records).values()
     facts = {
         "seeds": [" to ".join(map(str, sorted({min(seeds), max(seeds)})))],
-        "budget": [
-            f"{one.setting('budget.name')}, {planned_iterations(one)} iterations"
-            for one in records
-            if one.setting("budget.name")
-        ],
+        "budget": _budgets(records),
         "LPIPS network": [
             record.setting("metrics.lpips.net") for record in records if record.scores.get("lpips") is not None
         ],
@@ -119,6 +115,20 @@ def setup_notes(records: Sequence[Record], timed: bool) -> list[str]:
     return ["Built-in scenes: no evidence on the paper's claims."] * built_in + [
         *given_priors(records),
         "; ".join(said),
+    ]
+
+
+def _budgets(records: Sequence[Record]) -> list[str]:
+    """Return each budget with its iterations, and with the methods that have them where not all have the same."""
+    found: dict[str, dict[int, dict[str, None]]] = {}
+    for one in records:
+        if name := one.setting("budget.name"):
+            of_length = found.setdefault(str(name), {}).setdefault(planned_iterations(one), {})
+            of_length[methods.label(method_label(one, with_init=True))] = None
+    return [
+        f"{name}, "
+        + " or ".join(f"{n} iterations" + f" ({named(who)})" * (len(lengths) > 1) for n, who in lengths.items())
+        for name, lengths in found.items()
     ]
 
 

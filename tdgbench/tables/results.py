@@ -91,6 +91,10 @@ class Results:
     def tables(self) -> Path:
         return self.folder / "tables"
 
+    @property
+    def report(self) -> Path:
+        return self.folder / "report.html"
+
 
 def read_results(experiment: Path) -> Results:
     """Read an experiment. A cell whose record cannot be read is a failed cell, with the reason.

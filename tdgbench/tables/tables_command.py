@@ -13,7 +13,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from tdgbench.files import write_text
+from tdgbench.files import content_of, write_text
 from tdgbench.scoring.backbones import SPECS
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.build import TableOptions, build_tables
@@ -51,10 +51,20 @@ def main(arguments: list[str]) -> int:
 
 
 def _tables(experiment: Path, options: TableOptions) -> int:
+    before = _contents(experiment)
     tables = build_tables(experiment, options)
     show_tables(tables)
+    report = tables.results.report
+    if report.exists() and before != _contents(experiment):
+        say(f"{report} still shows the tables of before: the run's command makes it again, and trains nothing anew")
     show_findings(tables.findings)
     return int(bool(tables.problems))
+
+
+def _contents(experiment: Path) -> list[bytes]:
+    """Return the contents of the tables that a report shows; none of an experiment without."""
+    files = [experiment / "tables" / name for name in ("main.csv", "findings.txt")]
+    return [content_of(file) for file in files if file.is_file()]
 
 
 def _weights(text: str) -> tuple[str, str]:

@@ -168,6 +168,8 @@ DOUBTED = {
     "2 of 2 renders look more like their image upside down; flip": lambda images: [one[::-1] for one in images],
     "2 of 2 renders look more like their image mirrored; flip": lambda images: [one[:, ::-1] for one in images],
     "2 of 2 renders look more like their image turned by": lambda images: [one[::-1, ::-1] for one in images],
+    "1 of 2 renders look more like their image mirrored (view005); flip":
+        lambda images: [images[0], images[1][:, ::-1]],
     "are dark where the images are bright; is their palette inverted?": lambda images: [1 - one for one in images],
     "are like no image of turntable": lambda images: [
         np.random.default_rng(0).random(one.shape, np.float32) for one in images

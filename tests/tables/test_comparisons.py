@@ -123,6 +123,8 @@ def test_unlike_trainings_and_machines_are_not_compared(tmp_path):
     }
     assert words["night", "psnr"] == ("n/a", "unlike trainings")
     assert words["orbit", "mae_degC"] == ("n/a", "not scored")
+    assert changes.loc[("Average", "psnr"), "reason"] == "1 of 2 scenes: unlike trainings"
+    assert "Average (Overall)" not in changes.index  # of one data set
     main["training"] = main["method"]
     comparisons = compare_methods(cells, main, results.finished)
     assert findings_of_methods(main, None, comparisons, None, {})[0] == (

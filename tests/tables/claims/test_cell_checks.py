@@ -113,7 +113,9 @@ def test_differences_of_what_should_be_low_are_shown_as_they_are(tmp_path):
     assert "floaters, TDg − 3DGS, smooth at 1000: -0.1000 (-0.1248 to -0.0752)" in grounds
     grounds = check_claim(CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (1.0, 1.0)))).grounds
     assert "prunes, TDg / 3DGS, smooth at 1000: 0.50 (0.50 to 0.50), 95 % interval over 2 scenes of 2 pairs" in grounds
-    grounds = check_claim(CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (0.3, 0.4, 0.5)))).grounds
+    grounds = check_claim(
+        CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (0.3, 0.4, 0.5)))
+    ).grounds
     assert "3 pairs: better, undecided whether by the 25 % that the claim needs (undecided)" in grounds
 
 
