@@ -17,6 +17,7 @@ from tdgbench.tables.claims.evidence import FAILS, HOLDS, THE_PAPER, JudgedClaim
 from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.comparisons import COUNTED, EQUAL, MethodComparison, margin_of
 from tdgbench.tables.equal_data import Place, equal_data_notes
+from tdgbench.tables.grids import ERROR
 from tdgbench.tables.likeness import TRAINING_KIND, is_selected, times_at_once
 from tdgbench.tables.long_table import NO_RECORD, method_label, planned_iterations
 from tdgbench.tables.measures import (
@@ -45,6 +46,7 @@ from tdgbench.tables.verdicts import (
 )
 from tdgbench.text import named, one_line
 
+TOLD = (*MAIN_COLUMNS, ERROR)  # measures
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
 BEFORE_A_PLATEAU = "All trainings stopped at their last iteration, before a plateau of the loss; longer ones may differ"
 
@@ -142,8 +144,8 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
     """Compare a method with its baseline: on how many scenes it is better, and by how much on the widest average."""
     pair, changes, paired = comparison
     title = " against ".join(_title(column, records) for column in pair)
-    both = main[main["method"].isin(pair) & main["metric"].isin(MAIN_COLUMNS)]
-    rows = changes[changes["metric"].isin(MAIN_COLUMNS) & changes["scene"].isin(both["scene"])].dropna(subset="change")
+    both = main[main["method"].isin(pair) & main["metric"].isin(TOLD)]
+    rows = changes[changes["metric"].isin(TOLD) & changes["scene"].isin(both["scene"])].dropna(subset="change")
     scenes = rows[~_is_average(rows)]
     if scenes.empty:
         kinds = both.loc[both["metric"] == MAIN_COLUMNS[0], TRAINING_KIND].unique()
@@ -158,7 +160,7 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
     is_timed = HOURS.name in set(scenes["metric"])
     times = _times(pair, records) if is_timed else ["times are of unlike machines or threads"] * timed
     if several and scenes["seeds"].max() > 1:
-        has_p = paired.loc[paired["metric"].isin(MAIN_COLUMNS), "p"].notna().any()
+        has_p = paired.loc[paired["metric"].isin(TOLD), "p"].notna().any()
         tests = ["p: Wilcoxon's signed-rank test over the scenes"] if has_p else []
         yield "; ".join([f"{title} on {len(compared)} scenes: {_counts(paired)}", *tests, *times, *notes])
         notes = []
@@ -196,7 +198,7 @@ def given_priors(records: Iterable[Record]) -> list[str]:
 def _counts(paired: pd.DataFrame) -> str:
     """Return on how many scenes a method is better, worse, equal, undecided, by metric, with p."""
     parts = []
-    for row in paired[paired["metric"].isin(MAIN_COLUMNS)].itertuples():
+    for row in paired[paired["metric"].isin(TOLD)].itertuples():
         words = [f"{word} on {n}" for word in COUNTED if (n := getattr(row, word))]
         parts += [f"{measure_of(row.metric).label} {', '.join(words)}{_p(row.p)}"] if words else []
     return "; ".join(parts)
@@ -255,7 +257,7 @@ def _is_average(rows: pd.DataFrame) -> pd.Series:
 def _alone(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     """Yield the scores of each method, where nothing is compared."""
     for column, rows in main.groupby("method", sort=False):
-        known = widest_average(rows[rows["metric"].isin(MAIN_COLUMNS)]).dropna(subset="value")
+        known = widest_average(rows[rows["metric"].isin(TOLD)]).dropna(subset="value")
         parts = [f"{measure_of(r.metric).label} {as_text(r.metric, r.value, r.scene)}" for r in known.itertuples()]
         scenes = list(dict.fromkeys(rows.loc[~_is_average(rows), "scene"]))
         where = scenes[0] if len(scenes) == 1 else f"average over {len(scenes)} scenes"
