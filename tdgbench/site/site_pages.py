@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from math import inf, isnan
@@ -48,9 +49,9 @@ from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
 from tdgbench.tables.findings import BEFORE_A_PLATEAU, ended_by_its_budget
 from tdgbench.tables.grids import SCENE_KEYS, reasons_for_na
-from tdgbench.tables.likeness import setups
+from tdgbench.tables.likeness import machine_in_words, setups
 from tdgbench.tables.long_table import method_label, metric_value
-from tdgbench.tables.measures import AVERAGE, as_text, measure_of
+from tdgbench.tables.measures import AVERAGE, HOURS, as_text, measure_of
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
 from tdgbench.tables.results import Cell
 from tdgbench.terminal import errors_in_one_line, say
@@ -215,9 +216,14 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
         })  # fmt: skip
     for board in boards:
         others = [one["settings"] for one in boards if one["dataset"] == board["dataset"]]
-        board["apart"] = [f"{name}: {value}" for name, value in board["settings"].items()
+        board["apart"] = [f"{name}: {_short(value)}" for name, value in board["settings"].items()
                           if any(other.get(name) != value for other in others)]  # fmt: skip
     return boards
+
+
+def _short(text: str) -> str:
+    """Return a text with the first digits of each SHA-256."""
+    return re.sub("[0-9a-f]{64}", lambda found: f"{found[0][:SHOWN]}…", text)
 
 
 def _caveats(rows: Sequence[BoardRow]) -> list[str]:
@@ -229,6 +235,10 @@ def _caveats(rows: Sequence[BoardRow]) -> list[str]:
     found = ["Built-in scenes: no evidence on the paper."] if is_built_in(rows[0].dataset) else []
     if all(ended_by_its_budget(record) for row in rows for record in row.records):
         found.append(f"{BEFORE_A_PLATEAU}.")
+    timed = [row for row in rows if not isnan(row.scores[SCORES.index(HOURS.name)].value)]
+    machines = set[tuple[str, ...]]().union(*(row.machines for row in timed))
+    if len(machines) > 1:
+        found.append(f"Times do not compare between: {'; '.join(sorted(map(machine_in_words, machines)))}.")
     return found + [f"The depth prior of {', '.join(who)} is made from {what}." for what, who in given.items() if what]
 
 
