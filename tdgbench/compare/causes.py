@@ -29,7 +29,7 @@ OF_VERSION = ("git.commit", "packages.tdgbench", "metrics.lpips.weights")  # the
 NAME = "metrics.convention"  # of other options of metrics
 ADDED = "metrics.extra"  # changes no other score
 TRUTH = PROTOCOL, "ground truth"
-LACKING = "n/a"
+LACKING = "not recorded"
 LONGEST = 12  # characters of a value that a sentence prints
 
 

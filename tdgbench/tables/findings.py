@@ -86,7 +86,7 @@ def _caveats(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     if records and all(map(ended_by_its_budget, records)):
         yield BEFORE_A_PLATEAU
     scenes = main[~_is_average(main)]
-    once = f"one seed decides nothing: run `{SEEDS}`" if scenes["seeds"].max() == 1 else ""
+    once = f"one seed decides nothing: {_more_seeds(records)}" if scenes["seeds"].max() == 1 else ""
     data_sets = set(scenes["dataset"])
     if all(is_built_in(name) for name in data_sets):
         what = "These scenes are built in, so this is no evidence on the paper's claims"
@@ -94,6 +94,13 @@ def _caveats(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
         what = "" if data_sets & set(DATASETS.values()) else "tdgbench has no published scores of these scenes"
     if what:
         yield f"{what}, and {once}" if once else what
+
+
+def _more_seeds(records: Sequence[Record]) -> str:
+    """Return how to get more seeds: those of renders are trained elsewhere."""
+    are_renders = {record.made_elsewhere is not None for record in records} or {False}
+    ways = {False: f"run `{SEEDS}`", True: "score renders of further trainings, each with its `seed`"}
+    return ", and ".join(ways[elsewhere] for elsewhere in sorted(are_renders))
 
 
 def ended_by_its_budget(record: Record) -> bool:
@@ -178,7 +185,18 @@ def _title(column: str, records: Sequence[Record]) -> str:
     cells = [one for one in records if method_label(one, with_init=True) == column]
     sources = " or ".join(filter(None, dict.fromkeys(cell.prior_source.in_full for cell in cells)))
     selected = " (checkpoint chosen by test views: its scores are too high)" * any(map(is_selected, cells))
-    return methods.label(column) + (f" with a depth prior made from {sources}" if sources else "") + selected
+    prior = f" with a depth prior made from {sources}" if sources else ""
+    doubted = " (doubted: see the doubts)" * any(_is_doubted(one, records) for one in cells)
+    return methods.label(column) + prior + selected + doubted
+
+
+def _is_doubted(cell: Record, records: Sequence[Record]) -> bool:
+    """Return whether a cell has doubts that are not of its scene alone: about its depth prior or its renders."""
+    place = cell.dataset, cell.scene
+    others = [one.doubts for one in records if (one.dataset, one.scene) == place and one.method != cell.method]
+    if not others:
+        return bool(cell.doubts) and cell.made_elsewhere is not None
+    return any(set(cell.doubts) - set(doubts) for doubts in others)
 
 
 def _times(columns: Iterable[str], records: Sequence[Record]) -> list[str]:

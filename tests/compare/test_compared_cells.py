@@ -102,15 +102,18 @@ def test_what_differs_is_told_by_what_it_decides(tmp_path):
         "metrics.ssim_border": PROTOCOL, "budget._target_": TRAINING, "budget.iterations": TRAINING,
         "packages.torch": MACHINE,
     }  # fmt: skip
-    assert causes["budget.iterations"].values == ("n/a", "9")
-    assert causes["budget.iterations"].sentence(2) == "budget.iterations: n/a → 9"
+    assert causes["budget.iterations"].values == ("not recorded", "9")
+    assert causes["budget.iterations"].sentence(2) == "budget.iterations: not recorded → 9"
     assert causes["budget.iterations"].sentence(3).endswith("(in 2 of 3 cells)")
 
 
 @pytest.mark.parametrize(
     ("extra", "said"),
     [
-        ({"iterations": 9, "environment": {"threads": 2}}, "times do not compare: iterations 0 → 9, threads n/a → 2"),
+        (
+            {"iterations": 9, "environment": {"threads": 2}},
+            "times do not compare: iterations 0 → 9, threads not recorded → 2",
+        ),
         (
             {"code": "new", "environment": {"cells_at_once": 2}},
             "their machines or threads differ, which may be why their ",
@@ -123,7 +126,7 @@ def test_times_of_unlike_trainings_do_not_compare(tmp_path, capsys, extra, said)
     assert f"found: {said}" in out
     trained = "code" if "code" in extra else "iterations 0 → 9"
     (changed,) = extra["environment"]
-    assert f"found: what differs: training ({trained}), machine ({changed} n/a → 2)\n" in out
+    assert f"found: what differs: training ({trained}), machine ({changed} not recorded → 2)\n" in out
 
 
 def test_two_protocols_are_refused_and_said(tmp_path, capsys):
@@ -134,14 +137,17 @@ def test_two_protocols_are_refused_and_said(tmp_path, capsys):
     table = pd.read_csv(tmp_path / "out" / "compare.csv")
     assert set(table.loc[table["margin"].notna(), "verdict"]) == {"not compared"}
     page = (tmp_path / "out" / "compare.html").read_text()
-    assert "metrics.lpips.weights: n/a → .../vgg.npz" in page and "/ada" not in page and str(tmp_path) not in page
+    assert (
+        "metrics.lpips.weights: not recorded → .../vgg.npz" in page and "/ada" not in page and str(tmp_path) not in page
+    )
     assert "<h1>A: .../a, B: .../b</h1>" in page
 
 
 @pytest.mark.parametrize(
     ("extra", "said", "status"),
     [
-        ({"config": {"metrics": {"lpips": {"net": "alex"}}}}, "two protocols (metrics.lpips.net: n/a → alex)", 1),
+        ({"config": {"metrics": {"lpips": {"net": "alex"}}}},
+         "two protocols (metrics.lpips.net: not recorded → alex)", 1),
         ({"scores": {"lpips": None}, "missing": {"lpips": "no weights"}}, "B has none: no weights", 0),
     ],
 )  # fmt: skip

@@ -274,3 +274,16 @@ def test_names_cannot_break_a_line(tmp_path):
     Plan("ablation").write(tmp_path)
     write(tmp_path, "a\nb", "orbit", "synthetic")
     assert any("a\\nb" in text for text in build_tables(tmp_path).findings)
+
+
+def test_doubted_renders_are_marked_and_need_no_run_of_seeds(tmp_path):
+    made, of_scene = {"files": "0" * 16, "summary": "made elsewhere by NeRF"}, "view007: far away"
+    doubts = [of_scene, "nerf: 1 of 8 renders look more like their image mirrored (view005); flip them"]
+    write(tmp_path, "nerf", "attic", "folder", doubts=doubts, made_elsewhere=made)
+    alone = build_tables(tmp_path).findings
+    assert alone[0].startswith("nerf (doubted: see the doubts) on attic: ") and "run `seed" not in alone[-1]
+    assert "one seed decides nothing: score renders of further trainings, each with its `seed`" in alone[-1]
+    write(tmp_path, "3dgs", "attic", "folder", doubts=[of_scene])
+    *_, both, seeds = (line for line in build_tables(tmp_path).findings if "attic" in line or "one seed" in line)
+    assert "nerf (doubted: see the doubts)" in both and "3DGS (doubted" not in both
+    assert "run `seed=0,1,2`, and score renders of further trainings" in seeds
