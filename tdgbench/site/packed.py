@@ -26,13 +26,13 @@ from tdgbench.packs import manifest, unpacked
 from tdgbench.packs.checklist import Item, checklist
 from tdgbench.packs.manifest import Manifest
 from tdgbench.present.grid import GridCell
-from tdgbench.resources import conf_folder
 from tdgbench.tables import methods
 from tdgbench.tables.build import Tables, build_tables
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.grids import ERROR, SCENE_KEYS, main_grid
 from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import AVERAGE, COLUMNS, OVERALL, is_of_training, measure_of, own_metrics
+from tdgbench.tables.overrides import filed
 from tdgbench.tables.palette import image_values
 from tdgbench.tables.results import Cell
 from tdgbench.text import as_typed, shortened
@@ -228,13 +228,13 @@ def _budget_in_words(budget: str, method: str) -> str:
     options = json.loads(budget)
     if not isinstance(options, dict) or not isinstance(options.get("name"), str):
         return "budget n/a"
-    name, path = options["name"], conf_folder() / "budget" / f"{options['name']}.yaml"
-    if path.name != f"{name}.yaml" or not path.is_file():
+    name, stated_by_file = options["name"], filed("budget", options["name"])
+    if stated_by_file is None:
         return f"budget {name} of {options.get('iterations')} iterations"
     stated = json.loads(method)
     known = stated.items() if isinstance(stated, dict) else ()
     plain = {n: v for n, v in known if not isinstance(v, dict | list) and "$" not in str(v)}  # nothing is resolved
-    whole = OmegaConf.create({"method": plain, "budget": OmegaConf.load(path)})
+    whole = OmegaConf.create({"method": plain, "budget": stated_by_file})
     usual = flat(as_json(OmegaConf.to_container(whole.budget, resolve=True)))
     changed = [f"{n}={as_typed(v)}" for n, v in flat(options).items() if n in usual and usual[n] != v]
     return shortened(f"budget {name}{' with ' * bool(changed)}{', '.join(changed)}")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.cells.key import as_json, flat
 from tdgbench.cells.record import Record
@@ -58,9 +58,15 @@ def _is_open(group: str, stated: Any) -> bool:
 @cache
 def _filed(group: str, name: str) -> dict[str, Any] | None:
     """Return the options in a file of tdgbench by dotted name; None without the file."""
+    stated = filed(group, name)
+    return None if stated is None else flat(as_json(OmegaConf.to_container(stated)))
+
+
+def filed(group: str, name: str) -> DictConfig | None:
+    """Return the options in a file of tdgbench over those of its `defaults`, unresolved; None without the file."""
     folder = conf_folder() / group
     if f"{name}.yaml" not in {path.name for path in folder.glob("*.yaml")}:
         return None
-    stated: Any = as_json(OmegaConf.to_container(OmegaConf.load(folder / f"{name}.yaml")))
-    bases = [_filed(group, base) or {} for base in stated.pop("defaults", ()) if base != "_self_"]
-    return {option: value for options in (*bases, flat(stated)) for option, value in options.items()}
+    stated: Any = OmegaConf.load(folder / f"{name}.yaml")
+    bases = [filed(group, base) for base in stated.pop("defaults", ()) if base != "_self_"]
+    return cast(DictConfig, OmegaConf.merge(*filter(None, bases), stated))

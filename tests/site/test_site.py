@@ -165,6 +165,8 @@ def test_budgets_in_words_take_nothing_from_a_record_but_values(monkeypatch):
     assert training_in_words(stated) == "budget paper with iterations=10000"
     stated.config["method"]["paper_iterations"] = 10000
     assert training_in_words(stated) == "budget paper"
+    of_base = record_of(config={"budget": {"name": "lean", "density": {"grad_threshold": 0.001}}})
+    assert training_in_words(of_base) == "budget lean with density.grad_threshold=0.001"
 
 
 def test_rows_of_other_images_are_not_compared(tmp_path):
