@@ -276,7 +276,10 @@ def _alone(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     """Yield the scores of each method, where nothing is compared."""
     for column, rows in main.groupby("method", sort=False):
         known = widest_average(rows[rows["metric"].isin(TOLD)]).dropna(subset="value")
-        parts = [f"{measure_of(r.metric).label} {as_text(r.metric, r.value, r.scene)}" for r in known.itertuples()]
+        parts = [
+            f"{(measure := measure_of(r.metric)).label} {as_text(r.metric, r.value, r.scene)}{measure.suffix}"
+            for r in known.itertuples()
+        ]
         scenes = list(dict.fromkeys(rows.loc[~_is_average(rows), "scene"]))
         where = scenes[0] if len(scenes) == 1 else f"average over {len(scenes)} scenes"
         if parts:

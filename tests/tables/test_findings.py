@@ -183,7 +183,7 @@ CAPTURE = "tdgbench has no published scores of these scenes"
 def test_a_capture_alone(tmp_path):
     for seed in (0, 1):
         write(tmp_path, scene="attic", dataset="folder", seed=seed)
-    scores = "PSNR 20.00, SSIM 0.800, LPIPS 0.200, time 0:06:00; no baseline was run, so it is compared with nothing"
+    scores = "PSNR 20.00 dB, SSIM 0.800, LPIPS 0.200, time 0:06:00; no baseline was run, so it is compared with nothing"
     assert build_tables(tmp_path).findings == [f"TDg on attic: {scores}", CAPTURE]
     for seed in (0, 1):
         write(tmp_path, scene="cellar", dataset="folder", seed=seed)
