@@ -101,6 +101,7 @@ class CellRun(SetupObserver):
 
     def doubt(self, doubts: Sequence[str]) -> None:
         state_doubts(self.record, [*doubts, *self.record.doubts], None)
+        self.record.has_doubts_of_its_own |= bool(doubts)
 
     def locate(self) -> tuple[Dataset, Skips]:
         """Return the cell's data set and skips; put the names of its scene into the record, without reading it."""
@@ -151,7 +152,9 @@ class CellRun(SetupObserver):
         self._warn_if_slow(ready.trainer)
         method = ready.trainer.method
         if not method.trains:
-            state_doubts(self.record, [*method.doubts(ready.scored), *scene.doubts], scene.folder)
+            doubts = method.doubts(ready.scored)
+            state_doubts(self.record, [*doubts, *scene.doubts], scene.folder)
+            self.record.has_doubts_of_its_own |= bool(doubts)
         for note in method.notes:
             self.progress.say(note)
         with self.phase("train"):

@@ -15,7 +15,6 @@ from tdgbench.scoring.backbones import own_weights
 from tdgbench.training.method import Method
 
 _OF_TABLES = ("label", "order", "compared_with")  # keys of a method's file that tables alone read
-_OF_RECORDS = ("made_from",)  # key of a prior's file that describes it
 LACKING = object()
 
 
@@ -26,7 +25,7 @@ def relevant_config(cfg: DictConfig, method: Method) -> dict[str, Any]:
     return {
         "dataset": loader,
         "init": plain["init"],
-        "prior": {k: v for k, v in plain["prior"].items() if k not in _OF_RECORDS} if method.needs_prior else None,
+        "prior": plain["prior"] if method.needs_prior else None,
         "method": {k: v for k, v in plain["method"].items() if k not in _OF_TABLES},
         "backend": plain["backend"],
         "budget": plain["budget"],

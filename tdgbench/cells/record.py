@@ -137,6 +137,7 @@ class Record:
     # how the scene's files were read where they could be read otherwise; records of earlier versions do not say it
     assumed: Annotated[dict[Name, Statement], Field(max_length=MOST_ASSUMED)] = field(default_factory=dict)
     doubts: Annotated[list[Statement], Field(max_length=MOST_DOUBTS)] = field(default_factory=list)
+    has_doubts_of_its_own: bool = False  # about its depth prior or its renders, beside those about the scene
     hashes: dict[str, Sha256] = field(default_factory=dict)
     truth: dict[str, Sha256] = field(default_factory=dict)  # of each test view's ground truth as scored; `truth_hash`
     environment: dict[str, Any] = field(default_factory=dict)

@@ -60,13 +60,15 @@ def score_table(pairs: Pairs, causes: Sequence[Cause]) -> pd.DataFrame:
     for place, by_seed in pairs.by_place.items():
         values_of_images, seeds = image_values(cell.record for pair in by_seed.values() for cell in pair), [*by_seed]
         is_repeat = not any(pair.is_one_training for pair in by_seed.values())
+        is_elsewhere = any(place in cause.places for cause in causes)  # times and memory hang on the machine
         is_repeat &= all(cause.kind in (MACHINE, VERSION) or place not in cause.places for cause in causes)
         for metric in known_measures():
             values = np.array([_values(pair, metric) for pair in by_seed.values()])
             if np.isnan(values).all() and metric not in load_margins():
                 continue
             reason = _why_not_compared(metric, place, by_seed, causes)
-            compared = _compared(metric, values, is_repeat, reason)
+            is_same = is_repeat and not (isinstance(measure_of(metric), RecordMeasure) and is_elsewhere)
+            compared = _compared(metric, values, is_same, reason)
             counted = [len(seeds), " ".join(map(str, seeds))]
             rows.append([*place, metric, *counted, *compared, values_of_images])
     return pd.DataFrame(rows, columns=COLUMNS)

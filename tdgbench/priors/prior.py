@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from tdgbench.files import opened, whole_file
+from tdgbench.resources import PACKAGE
 from tdgbench.scenes import Scene, View
 from tdgbench.scenes.images import resize
 from tdgbench.scenes.inputs import hash_of, is_hidden, is_there
@@ -26,6 +27,7 @@ from tdgbench.text import one_line, shortened
 
 Kind = Literal["depth", "disparity", "metric"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+CODE = ("priors", "scenes")  # packages of tdgbench whose code estimates depth, and reads the images for it
 LOG = logging.getLogger(__name__)
 
 
@@ -183,11 +185,20 @@ def estimate_all(
 
 
 def _classes(estimator: DepthEstimator) -> list[tuple[str, str]]:
-    """Return the names of an estimator's class and of its bases with the hashes of their modules' files."""
+    """Return the names of an estimator's class and of its bases with the hashes of their code.
+
+    Of a class of tdgbench it is that of all code that estimates or reads images, as it calls more than its module.
+    """
     kinds = type(estimator).__mro__[:-1]
     files = [Path(str(getattr(sys.modules.get(kind.__module__), "__file__", None))) for kind in kinds]
-    hashes = [hash_of(file).hex()[:16] if file.is_file() else "" for file in files]
+    hashes = [_hash_of_code(file) if file.is_file() else "" for file in files]
     return [(f"{kind.__module__}.{kind.__qualname__}", digest) for kind, digest in zip(kinds, hashes, strict=True)]
+
+
+def _hash_of_code(file: Path) -> str:
+    own = any(file.is_relative_to(PACKAGE / name) for name in CODE)
+    files = sorted(path for name in CODE for path in (PACKAGE / name).rglob("*.py")) if own else [file]
+    return hashlib.sha256(b"".join(map(hash_of, files))).hexdigest()[:16]
 
 
 def _cached(

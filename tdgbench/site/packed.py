@@ -8,16 +8,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 import pandas as pd
-from omegaconf import OmegaConf
 
 from tdgbench.cells.folder import hashes_of_content
-from tdgbench.cells.key import as_json, flat
 from tdgbench.cells.paths import VIEWS_FILE, folder_name
 from tdgbench.cells.plan import Plan, read_plan
 from tdgbench.cells.protocol import protocol_settings
@@ -30,12 +28,11 @@ from tdgbench.tables import methods
 from tdgbench.tables.build import Tables, build_tables
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.grids import ERROR, SCENE_KEYS, main_grid
-from tdgbench.tables.long_table import method_label, metric_value
+from tdgbench.tables.long_table import method_label, metric_value, planned_iterations
 from tdgbench.tables.measures import AVERAGE, COLUMNS, OVERALL, is_of_training, measure_of, own_metrics
-from tdgbench.tables.overrides import filed
+from tdgbench.tables.overrides import training_in_words
 from tdgbench.tables.palette import image_values
 from tdgbench.tables.results import Cell
-from tdgbench.text import as_typed, shortened
 
 AVERAGES = (AVERAGE, OVERALL)
 SCORES = tuple(one for name in COLUMNS for one in ((name, ERROR) if name == "psnr" else (name,)))  # of rows and cells
@@ -179,7 +176,7 @@ class BoardRow:
                   for r in self.records}  # fmt: skip
         return {
             "seeds": str(len({record.seed for record in self.records})),
-            "iterations": joined(str(cell.planned_iterations) for cell in self.cells),
+            "iterations": joined(iterations_of(cell.record) for cell in self.cells),
             "size, px": joined(size_of(cell) for cell in self.cells),
             "range, °C": "several" if len(ranges) > 1 else ranges.pop(),
         }
@@ -211,33 +208,9 @@ class BoardRow:
         return {seed: fmean(found.values()) for seed, found in values.items() if len(found) == len(self.scenes)}
 
 
-def training_in_words(record: Record) -> str:
-    """Return the budget of a training, and its options that are not those of the budget's file.
-
-    >>> budget = {"name": "demo", "sh_degree": 0}
-    >>> training_in_words(Record("tdg", "synthetic", "orbit", "colmap", 0, "", "", config={"budget": budget}))
-    'budget demo with sh_degree=0'
-    """
-    if record.made_elsewhere is not None:
-        return "made elsewhere"
-    return _budget_in_words(*(json.dumps(record.setting(name), sort_keys=True) for name in ("budget", "method")))
-
-
-@cache
-def _budget_in_words(budget: str, method: str) -> str:
-    options = json.loads(budget)
-    if not isinstance(options, dict) or not isinstance(options.get("name"), str):
-        return "budget n/a"
-    name, stated_by_file = options["name"], filed("budget", options["name"])
-    if stated_by_file is None:
-        return f"budget {name} of {options.get('iterations')} iterations"
-    stated = json.loads(method)
-    known = stated.items() if isinstance(stated, dict) else ()
-    plain = {n: v for n, v in known if not isinstance(v, dict | list) and "$" not in str(v)}  # nothing is resolved
-    whole = OmegaConf.create({"method": plain, "budget": stated_by_file})
-    usual = flat(as_json(OmegaConf.to_container(whole.budget, resolve=True)))
-    changed = [f"{n}={as_typed(v)}" for n, v in flat(options).items() if n in usual and usual[n] != v]
-    return shortened(f"budget {name}{' with ' * bool(changed)}{', '.join(changed)}")
+def iterations_of(record: Record) -> str:
+    """Return the iterations of a cell's budget; `n/a` of what was made elsewhere."""
+    return "n/a" if record.made_elsewhere is not None else str(planned_iterations(record))
 
 
 def joined(texts: Iterable[str]) -> str:

@@ -14,8 +14,9 @@ from tdgbench.cells.protocol import protocol_settings
 from tdgbench.present.colour_scale import ColourScale
 from tdgbench.present.html import STEPS, png
 from tdgbench.present.view_pictures import middle_view, view_pictures, view_scale
-from tdgbench.site.packed import Pack, training_in_words
+from tdgbench.site.packed import Pack
 from tdgbench.tables.long_table import method_label
+from tdgbench.tables.overrides import training_in_words
 from tdgbench.tables.results import Cell
 
 MOST_BYTES = 800_000  # of a page's pictures
@@ -42,8 +43,10 @@ class Card:
     @property
     def training(self) -> str:
         """What tells it from cells of the same method: iterations, and what its depth prior is made from."""
-        prior = self.cell.record.prior_source.words
-        return f", {self.cell.planned_iterations} iterations{f', prior made from {prior}' if prior else ''}"
+        record = self.cell.record
+        prior, is_elsewhere = record.prior_source.words, record.made_elsewhere is not None
+        length = "made elsewhere" if is_elsewhere else f"{self.cell.planned_iterations} iterations"
+        return f", {length}{f', prior made from {prior}' if prior else ''}"
 
 
 def cards_of(packs: Sequence[Pack], dataset: str, scene: str) -> list[list[Card]]:

@@ -35,7 +35,6 @@ from tdgbench.site.packed import (
     opened_packs,
     rows_of,
     scene_page,
-    training_in_words,
 )
 from tdgbench.site.picture_cards import cards_of, files_of_cards
 from tdgbench.site.psnr_time_plot import plots
@@ -52,6 +51,7 @@ from tdgbench.tables.grids import SCENE_KEYS, reasons_for_na
 from tdgbench.tables.likeness import machine_in_words, setups
 from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import AVERAGE, HOURS, as_text, measure_of
+from tdgbench.tables.overrides import training_in_words
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
 from tdgbench.tables.results import Cell
 from tdgbench.terminal import errors_in_one_line, say

@@ -138,7 +138,7 @@ def _main(results: Results, options: TableOptions) -> Tables:
     main = with_bold(with_image_values(main, records, COLUMN_OF), by_seed, ["dataset", "scene"])[CSV_COLUMNS]
     comparisons = compare_methods(cells, main, results.finished, equal)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
-    difference = against_published(main, published_main(), KEYS) if of_paper else None
+    difference = against_published(main, published_main(), KEYS, records, COLUMN_OF) if of_paper else None
     by_length, changes = None, None
     if results.plan.table == "readings":
         numbers = reading_cells(records)
@@ -167,7 +167,7 @@ def _ablation(results: Results, options: TableOptions) -> Tables:
         published = published_ablation()  # its row of random points is that of each kind, as the paper names none
         random, kinds = published[published["init"] == "random"], {*filter(is_random, main["init"])} - {"random"}
         published = pd.concat([published, *(random.assign(init=kind) for kind in sorted(kinds))])
-        difference = against_published(main, published, ABLATION_KEYS)
+        difference = against_published(main, published, ABLATION_KEYS, records, partial(method_label, with_init=False))
     finished = [cell.record for cell in results.finished]
     findings = findings_of_ablation(main, difference, finished)
     notes += override_notes(finished, partial(method_label, with_init=False))

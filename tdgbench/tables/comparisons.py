@@ -40,7 +40,8 @@ def bold_note() -> str:
     """Return what bold type in tables means."""
     return (
         "bold: the best, and all whose difference from it has an interval (95 %, over seeds) that includes 0 or lies "
-        f"within the margin ({margins_in_words()}); none where a method has fewer than {FEWEST_SEEDS} seeds"
+        f"within the margin ({margins_in_words()}; of other scores half a unit of print, of times none); none where a "
+        f"method has fewer than {FEWEST_SEEDS} seeds"
     )
 
 

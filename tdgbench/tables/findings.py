@@ -40,9 +40,11 @@ from tdgbench.tables.verdicts import (
     ONE_SEED,
     REPRODUCED,
     UNDECIDED,
+    UNLIKE,
     WORDS,
     comparable,
     seeds_in_words,
+    unlike_published,
 )
 from tdgbench.text import named, one_line
 
@@ -83,8 +85,7 @@ def findings_of_ablation(
 
 def _caveats(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     """Yield what the findings of a main table are no evidence of."""
-    if records and all(map(ended_by_its_budget, records)):
-        yield BEFORE_A_PLATEAU
+    yield from before_a_plateau(records)
     scenes = main[~_is_average(main)]
     once = f"one seed decides nothing: {_more_seeds(records)}" if scenes["seeds"].max() == 1 else ""
     data_sets = set(scenes["dataset"])
@@ -103,6 +104,12 @@ def _more_seeds(records: Sequence[Record]) -> str:
     return ", and ".join(ways[elsewhere] for elsewhere in sorted(are_renders))
 
 
+def before_a_plateau(records: Iterable[Record]) -> list[str]:
+    """Return the caveat on trainings that all ended by their budget, in a list; those of others are not known."""
+    trained = [record for record in records if record.made_elsewhere is None]
+    return [BEFORE_A_PLATEAU] if trained and all(map(ended_by_its_budget, trained)) else []
+
+
 def ended_by_its_budget(record: Record) -> bool:
     """Return whether a training could have ended at a plateau, and ran all of its iterations."""
     could_end = any(skip["name"] == "plateau" and skip["allowed"] for skip in record.skips)
@@ -111,8 +118,11 @@ def ended_by_its_budget(record: Record) -> bool:
 
 def published(differences: pd.DataFrame) -> str:
     """Say how many published scores are reproduced, and what would decide the others. differences: difference.csv."""
-    judged = comparable(differences)
+    judged, unlike = comparable(differences), unlike_published(differences)
     known = judged[judged["difference"].notna()]
+    setups = named(unlike["undecided_because"].str.removeprefix(f"{UNLIKE}: "))
+    if known.empty and setups:
+        return f"None of the {len(judged) + len(unlike)} published scores is judged: {UNLIKE} ({setups})"
     if known.empty:
         return f"None of the {len(judged)} published scores is compared: there are no results of their scenes"
     counts = known["verdict"].value_counts().reindex(WORDS, fill_value=0)
@@ -123,6 +133,7 @@ def published(differences: pd.DataFrame) -> str:
     advice = [seeds_in_words(decidable)] if len(decidable) else []
     advice += [f"run `{SEEDS}`"] if len(decidable) < len(undecided) else []
     notes = [f"{len(judged) - len(known)} more have none of ours beside them"] if len(known) < len(judged) else []
+    notes += [f"{len(unlike)} are not judged: {UNLIKE} ({setups})"] if setups else []
     notes += (
         [beyond_in_words(known.loc[known["verdict"] == NOT_REPRODUCED, "metric"])] if counts[NOT_REPRODUCED] else []
     )
@@ -156,7 +167,7 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
     scenes = rows[~_is_average(rows)]
     if scenes.empty:
         kinds = both.loc[both["metric"] == MAIN_COLUMNS[0], TRAINING_KIND].unique()
-        unlike = f"trainings differ ({' / '.join(kinds)})"
+        unlike = f"trainings differ ({' / '.join(filter(None, kinds))})"
         yield f"{title}: not compared: {_why_not(both, unlike if len(kinds) > 1 else 'no scene has results of both')}"
         return
     compared = scenes[["dataset", "scene"]].drop_duplicates()
@@ -168,7 +179,7 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
     times = _times(pair, records) if is_timed else ["times are of unlike machines or threads"] * timed
     if several and scenes["seeds"].max() > 1:
         has_p = paired.loc[paired["metric"].isin(TOLD), "p"].notna().any()
-        tests = ["p: Wilcoxon's signed-rank test over the scenes"] if has_p else []
+        tests = ["p: Wilcoxon's signed-rank test over scenes, one-sided: the method is better"] if has_p else []
         yield "; ".join([f"{title} on {len(compared)} scenes: {_counts(paired)}", *tests, *times, *notes])
         notes = []
     place = widest_average(rows) if several else scenes
@@ -176,8 +187,16 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
         return
     where = f"on average over {len(compared)} scenes" if several else f"on {compared['scene'].iloc[0]}"
     of_scenes = main.merge(place[["dataset", "scene"]].drop_duplicates() if not several else compared)
-    grounds = [*_certainty(place, of_scenes), *times, *_published_time(pair, scenes), *notes]
+    grounds = [*_range(scenes) * several, *_certainty(place, of_scenes), *times, *_published_time(pair, scenes), *notes]
     yield f"{title} {where}: {'; '.join([*map(_change, place.itertuples()), *grounds])}"
+
+
+def _range(scenes: pd.DataFrame) -> list[str]:
+    """Return how far the changes of single scenes in the first score are apart. scenes: changes."""
+    metric = MAIN_SCORES[0]
+    changes, measure = scenes.loc[scenes["metric"] == metric, "change"], measure_of(metric)
+    ends = [f"{change:+.{digits(metric)}f}" for change in (changes.min(), changes.max())]
+    return [f"{measure.label} of single scenes {' to '.join(ends)}{measure.suffix}"] if len(changes) else []
 
 
 def _title(column: str, records: Sequence[Record]) -> str:
@@ -186,17 +205,8 @@ def _title(column: str, records: Sequence[Record]) -> str:
     sources = " or ".join(filter(None, dict.fromkeys(cell.prior_source.in_full for cell in cells)))
     selected = " (checkpoint chosen by test views: its scores are too high)" * any(map(is_selected, cells))
     prior = f" with a depth prior made from {sources}" if sources else ""
-    doubted = " (doubted: see the doubts)" * any(_is_doubted(one, records) for one in cells)
+    doubted = " (doubted: see the doubts)" * any(one.has_doubts_of_its_own for one in cells)
     return methods.label(column) + prior + selected + doubted
-
-
-def _is_doubted(cell: Record, records: Sequence[Record]) -> bool:
-    """Return whether a cell has doubts that are not of its scene alone: about its depth prior or its renders."""
-    place = cell.dataset, cell.scene
-    others = [one.doubts for one in records if (one.dataset, one.scene) == place and one.method != cell.method]
-    if not others:
-        return bool(cell.doubts) and cell.made_elsewhere is not None
-    return any(set(cell.doubts) - set(doubts) for doubts in others)
 
 
 def _times(columns: Iterable[str], records: Sequence[Record]) -> list[str]:
@@ -254,7 +264,8 @@ def _certainty(place: pd.DataFrame, main: pd.DataFrame) -> list[str]:
     shared = " that both have" if seeds < main["seeds"].max() else ""
     shared += ", not over scenes" if _is_average(place).any() else ""
     has_any = any(map(_has_interval, place.itertuples()))
-    return [f"in brackets: 95 % intervals over {seeds} seeds{shared}"] if has_any else []
+    counts = sorted({int(row.seeds) for row in place.itertuples() if _has_interval(row)})
+    return [f"in brackets: 95 % intervals over {' or '.join(map(str, counts))} seeds{shared}"] if has_any else []
 
 
 def _published_time(pair: methods.MethodPair, scenes: pd.DataFrame) -> list[str]:

@@ -19,6 +19,7 @@ from tdgbench.tables.measures import (
     ABLATION,
     AVERAGE,
     COLUMNS,
+    GAUSSIANS,
     HOURS,
     MAIN_COLUMNS,
     OVERALL,
@@ -29,12 +30,13 @@ from tdgbench.tables.measures import (
     own_metrics,
 )
 from tdgbench.tables.palette import is_marked, palette_notes, with_mark
-from tdgbench.tables.verdicts import UNDECIDED
+from tdgbench.tables.verdicts import NEVER, UNDECIDED
 from tdgbench.text import named
 
 NO_BOLD = f"no bold type: it needs {FEWEST_SEEDS} seeds"
 SPREAD = "± is the standard deviation over seeds"
 TIMES = "times: training of all models of a method, an RGB model too, without making depth priors"
+GAUSSIANS_NOTE = "Gaussians: of all models of a method, an RGB model too"
 SCENE_KEYS = ["dataset", "scene", "method"]
 ERROR, RANGE_TITLE = "mae_degC", "range, °C"
 ABLATION_KEYS = ["method", "init", "metric"]
@@ -61,6 +63,7 @@ def main_grid(
             cells = _cells(group, place, metrics, published)
             rows.append(GridRow(heads, cells, place, str(group["group"].iloc[0]), is_marked(group)))
     times = [TIMES] * bool(HOURS.name in metrics and main["value"][main["metric"] == HOURS.name].notna().any())
+    times += [GAUSSIANS_NOTE] * (GAUSSIANS.name in metrics)
     lines = [*protocol_notes(main), *_number_notes(main), *times, *palette_notes(main), *notes]
     titles = [RANGE_TITLE if metric == RANGE else measure_of(metric).title for metric in metrics]
     return Grid(["data set", "scene", "method"], titles, rows, lines, metrics)
@@ -172,7 +175,8 @@ def difference_note(published: Any, scene: str) -> tuple[str, str]:
     if published is None or np.isnan(published.difference):
         return "", ""
     metric = published.metric
-    details = [f"published {as_text(metric, published.published, scene)}: {published.verdict}"]
+    word = f"not judged: {published.undecided_because}" if published.verdict == NEVER else published.verdict
+    details = [f"published {as_text(metric, published.published, scene)}: {word}"]
     if published.verdict == UNDECIDED:
         details[0] += f", {published.undecided_because}; seeds needed: {published.seeds_needed}"
     if not np.isnan(published.ci90_low):
@@ -189,5 +193,5 @@ def published_beside(published: Any, scene: str) -> str:
     if published is None or np.isnan(published.published):
         return ""
     text = f"published {as_text(published.metric, published.published, scene)}"
-    is_judged = published.metric != HOURS.name and not np.isnan(published.difference)
+    is_judged = published.metric != HOURS.name and published.verdict != NEVER and not np.isnan(published.difference)
     return f"{text}, {published.verdict}" if is_judged else text

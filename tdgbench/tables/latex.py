@@ -16,7 +16,7 @@ from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scenes.registry import GROUPS, SCENES, is_built_in
 from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
-from tdgbench.tables.findings import given_priors
+from tdgbench.tables.findings import before_a_plateau, given_priors
 from tdgbench.tables.grids import ERROR, reasons_for_na
 from tdgbench.tables.likeness import NOT_COMPARED, machine, machine_in_words
 from tdgbench.tables.long_table import (
@@ -92,17 +92,24 @@ def _below(note: str) -> str:
 
 
 def setup_notes(records: Sequence[Record], timed: bool) -> list[str]:
-    """Return what has to be known of the trainings behind a table: scenes, priors, seeds, budget, LPIPS, machine.
-
-    timed: the table has times.
-    """
+    """Return what has to be known of the trainings behind a table: scenes, priors, end, and `setup_facts`."""
     if not records:
         return []
-    built_in = any(is_built_in(record.dataset) for record in records)
+    notes = ["Built-in scenes: no evidence on the paper's claims."] * any(is_built_in(one.dataset) for one in records)
+    return [*notes, *given_priors(records), *before_a_plateau(records), *setup_facts(records, timed)]
+
+
+def setup_facts(records: Sequence[Record], timed: bool) -> list[str]:
+    """Return a line with seeds, budget, images, LPIPS network and, of times, machine of cells; none without any."""
     seeds = Counter((method_label(one, with_init=True), one.dataset, one.scene) for one in records).values()
     facts = {
         "seeds": [" to ".join(map(str, sorted({min(seeds), max(seeds)})))],
         "budget": _budgets(records),
+        "images": [
+            f"{one.assumed['size']}, {one.views['test']} test views"
+            for one in records
+            if "size" in one.assumed and "test" in one.views
+        ],
         "LPIPS network": [
             record.setting("metrics.lpips.net") for record in records if record.scores.get("lpips") is not None
         ],
@@ -112,17 +119,14 @@ def setup_notes(records: Sequence[Record], timed: bool) -> list[str]:
     }
     listed = {name: named(str(value) for value in values if value) for name, values in facts.items()}
     said = [f"{name}: {values}" for name, values in listed.items() if values]
-    return ["Built-in scenes: no evidence on the paper's claims."] * built_in + [
-        *given_priors(records),
-        "; ".join(said),
-    ]
+    return ["; ".join(said)] if records else []
 
 
 def _budgets(records: Sequence[Record]) -> list[str]:
     """Return each budget with its iterations, and with the methods that have them where not all have the same."""
     found: dict[str, dict[int, dict[str, None]]] = {}
     for one in records:
-        if name := one.setting("budget.name"):
+        if (name := one.setting("budget.name")) and one.made_elsewhere is None:
             of_length = found.setdefault(str(name), {}).setdefault(planned_iterations(one), {})
             of_length[methods.label(method_label(one, with_init=True))] = None
     return [

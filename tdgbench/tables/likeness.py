@@ -37,7 +37,8 @@ OWN = {  # options of budgets that a method's file states, by which key; their v
     "budget.density.gradient": ("gradient", "signed"),
     "budget.density.grad_threshold": ("grad_threshold", 2.0e-4),
 }
-IGNORED = ("_target_", "seed", "expected_iterations", "convention")  # last part of an option's name
+IGNORED = ("_target_", "seed", "convention")  # last part of an option's name
+PLACES = ("method.method.folder", "method.method.ply")  # where renders and models of other programs are
 AUTHORS = "as its authors state"  # in the place of values of OWN
 MOST_SCENES = 3  # of a difference that is another one in each scene
 RANK_UNLIKE = "--rank-unlike"
@@ -272,7 +273,8 @@ def _traits_of(record: Record) -> dict[str, object]:
     options = flat({name: config[name] for name in groups if name in config}) | protocol_settings(config)
     traits: dict[str, object] = {}
     for name, value in options.items():
-        if name.rpartition(".")[2] not in IGNORED and name not in ("method.name", "init.name"):
+        is_place = record.made_elsewhere is not None and name in PLACES
+        if name.rpartition(".")[2] not in IGNORED and name not in ("method.name", "init.name") and not is_place:
             traits[{"budget.iterations": "iterations"}.get(name, name.removesuffix(".name"))] = value
     for name, (key, otherwise) in OWN.items():
         stated = record.setting(f"method.{key}")

@@ -1,7 +1,8 @@
-"""Options of a training that are not those of its method's, prior's and initial points' files."""
+"""Options of a training that are not those of its method's, prior's, initial points' and budget's files."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any, cast
@@ -12,7 +13,7 @@ from tdgbench.cells.key import as_json, flat
 from tdgbench.cells.record import Record
 from tdgbench.resources import conf_folder
 from tdgbench.tables import methods
-from tdgbench.text import as_typed
+from tdgbench.text import as_typed, shortened
 
 GROUPS = ("method", "prior", "init")
 
@@ -45,6 +46,35 @@ def override_notes(records: Iterable[Record], column: Callable[[Record], str]) -
         untold = [one for one in overrides_of(record) if _last_part(one) not in told]
         found.setdefault(column(record), {}).update(dict.fromkeys(untold))
     return [f"not as its file says: {methods.label(name)}: {', '.join(them)}" for name, them in found.items() if them]
+
+
+def training_in_words(record: Record) -> str:
+    """Return the budget of a training, and its options that are not those of the budget's file.
+
+    >>> budget = {"name": "demo", "sh_degree": 0}
+    >>> training_in_words(Record("tdg", "synthetic", "orbit", "colmap", 0, "", "", config={"budget": budget}))
+    'budget demo with sh_degree=0'
+    """
+    if record.made_elsewhere is not None:
+        return "made elsewhere"
+    return _budget_in_words(*(json.dumps(record.setting(name), sort_keys=True) for name in ("budget", "method")))
+
+
+@cache
+def _budget_in_words(budget: str, method: str) -> str:
+    options = json.loads(budget)
+    if not isinstance(options, dict) or not isinstance(options.get("name"), str):
+        return "budget n/a"
+    name, stated_by_file = options["name"], filed("budget", options["name"])
+    if stated_by_file is None:
+        return f"budget {name} of {options.get('iterations')} iterations"
+    stated = json.loads(method)
+    known = stated.items() if isinstance(stated, dict) else ()
+    plain = {n: v for n, v in known if not isinstance(v, dict | list) and "$" not in str(v)}  # nothing is resolved
+    whole = OmegaConf.create({"method": plain, "budget": stated_by_file})
+    usual = flat(as_json(OmegaConf.to_container(whole.budget, resolve=True)))
+    changed = [f"{n}={as_typed(v)}" for n, v in flat(options).items() if n in usual and usual[n] != v]
+    return shortened(f"budget {name}{' with ' * bool(changed)}{', '.join(changed)}")
 
 
 def _last_part(override: str) -> str:

@@ -15,11 +15,12 @@ from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.grids import RANGE_TITLE, failed_metrics, reasons_for_na
+from tdgbench.tables.latex import setup_facts
 from tdgbench.tables.long_table import RANGE
 from tdgbench.tables.measures import ABLATION, HOURS, as_text, measure_of
 from tdgbench.tables.palette import MARK, with_mark
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
-from tdgbench.tables.verdicts import comparable, verdicts_in_words
+from tdgbench.tables.verdicts import load_margins, verdicts_in_words
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
@@ -59,16 +60,18 @@ def show_tables(tables: Tables) -> None:
         else:
             _show_main(tables)
         shown = [*tables.grid.names, *([] if tables.is_ablation else failed_metrics(tables.main))]
-        for note in (*tables.grid.notes, *reasons_for_na(tables.main, shown)):
+        finished = [cell.record for cell in tables.results.finished]
+        timed = HOURS.name in tables.grid.names
+        for note in (*tables.grid.notes, *reasons_for_na(tables.main, shown), *setup_facts(finished, timed)):
             say(one_line(note))
     show_problems(tables.problems)
     show_doubts(doubts_of(tables.records))
     if tables.difference is not None:
         known = tables.difference["difference"].notna()
-        judged = len(comparable(tables.difference))
+        scores = int(tables.difference["metric"].isin(load_margins()).sum())
         counted = (
-            f"{int(known.sum())} of {len(known)} published numbers ({judged} scores, which get a verdict, and "
-            f"{len(known) - judged} times) have one of ours beside them"
+            f"{int(known.sum())} of {len(known)} published numbers ({scores} scores, and {len(known) - scores} times, "
+            "which get no verdict) have one of ours beside them"
         )
         say(f"{counted}; differences: {tables.folder / 'difference.csv'}")
         for metric, group in tables.difference[known].groupby("metric", sort=False):

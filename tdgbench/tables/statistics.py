@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import pandas as pd
@@ -66,8 +67,11 @@ def with_seeds(rows: pd.DataFrame, cells: pd.DataFrame) -> tuple[pd.DataFrame, p
 
 
 def intervals(cells: Iterable[Cell]) -> pd.DataFrame:
-    """Return KEYS, ci95_low, ci95_high of each mean, by a bootstrap over seeds and the test views of each seed."""
-    rng = np.random.default_rng(SEED)
+    """Return KEYS, ci95_low, ci95_high of each mean, by a bootstrap over seeds and test views.
+
+    The views are the same in all seeds, so more seeds tell no more of other views. An average has an interval if all of
+    its scenes have one.
+    """
     numbers = pd.DataFrame(
         [
             [*_place(cell.record), metric, cell.folder, values]
@@ -80,8 +84,10 @@ def intervals(cells: Iterable[Cell]) -> pd.DataFrame:
         return pd.DataFrame(columns=[*KEYS, "ci95_low", "ci95_high"]).astype({"ci95_low": float, "ci95_high": float})
     seeds = numbers.groupby(KEYS[:4], sort=False)["cell"].transform("nunique")
     of_all_seeds = numbers[numbers.groupby(KEYS, sort=False)["cell"].transform("count") == seeds]
-    means = {key: _replicates(list(group), rng) for key, group in of_all_seeds.groupby(KEYS, sort=False)["values"]}
+    means = {key: _replicates(list(group), key) for key, group in of_all_seeds.groupby(KEYS, sort=False)["values"]}
+    places = numbers[KEYS[:4]].drop_duplicates().merge(numbers[["method", "metric"]].drop_duplicates(), on="method")
     drawn = pd.DataFrame(list(means.values()), pd.MultiIndex.from_tuples(means, names=KEYS))
+    drawn = drawn.reindex(pd.MultiIndex.from_frame(places[KEYS]))  # an average over a missing number is none
     datasets = of_all_seeds.groupby("method")["dataset"].nunique()
     several = drawn[drawn.index.get_level_values("method").isin(datasets.index[datasets > 1])]
     rows = _with_averages(drawn, several)
@@ -105,17 +111,16 @@ def _values(cell: Cell) -> dict[str, np.ndarray]:
     return numbers
 
 
-def _replicates(seeds: list[np.ndarray], rng: np.random.Generator) -> np.ndarray:
-    """Draw REPLICATES means: seeds are drawn with replacement, and so are each one's views."""
-    counts = np.array([len(values) for values in seeds])
-    table = np.zeros((len(seeds), counts.max()))
-    for row, values in zip(table, seeds, strict=True):
-        row[: len(values)] = values
-    chosen = rng.integers(len(seeds), size=(REPLICATES, len(seeds), 1))
-    views = (rng.random((REPLICATES, len(seeds), counts.max())) * counts[chosen]).astype(np.intp)
-    is_drawn = np.arange(counts.max()) < counts[chosen]
-    means: np.ndarray = np.sum(table[chosen, views], axis=2, where=is_drawn) / counts[chosen[..., 0]]
-    return means.mean(axis=1)
+def _replicates(seeds: list[np.ndarray], key: Iterable[str]) -> np.ndarray:
+    """Draw REPLICATES means: seeds are drawn with replacement, and so are views, the same ones in all of them.
+
+    seeds: numbers of each one's views. key: of KEYS; equal numbers at equal places give equal draws.
+    """
+    rng = np.random.default_rng([SEED, crc32("\0".join(key).encode())])
+    places = rng.random((REPLICATES, max(map(len, seeds))))
+    chosen = rng.integers(len(seeds), size=(REPLICATES, len(seeds)))
+    by_seed = [values[(places[:, : len(values)] * len(values)).astype(np.intp)].mean(axis=1) for values in seeds]
+    return np.stack(by_seed, axis=1)[np.arange(REPLICATES)[:, None], chosen].mean(axis=1)
 
 
 def _with_averages(rows: pd.DataFrame, several: pd.DataFrame) -> pd.DataFrame:

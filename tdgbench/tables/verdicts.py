@@ -9,7 +9,8 @@ that prints the same: half a unit narrows the margin for `reproduced` and widens
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Callable, Iterable
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,10 +19,12 @@ import pandas as pd
 from omegaconf import OmegaConf
 from scipy.special import stdtrit
 
+from tdgbench.cells.record import Record
 from tdgbench.tables.between_papers import with_other_papers
 from tdgbench.tables.measures import HOURS, OVERALL, half_unit, measure_of
-from tdgbench.tables.palette import IMAGES
+from tdgbench.tables.palette import IMAGES, with_text_of_cells
 from tdgbench.tables.published import FOLDER
+from tdgbench.tables.published_setup import departures
 from tdgbench.tables.seed_spreads import beyond_any_seed
 from tdgbench.tables.statistics import half_width
 
@@ -33,6 +36,8 @@ NOT_REPRODUCED = "not reproduced"  # by one seed
 WORDS = (REPRODUCED, BETTER, WORSE, NOT_REPRODUCED, UNDECIDED)
 NEVER, UNKNOWN = "n/a", "unknown"
 ONE_SEED = "one seed has no spread"
+UNLIKE = "our cells are not of the published setup"
+NUMBERS = ("ours", "published", "std", "seeds")
 
 
 class ScoreVerdict(NamedTuple):
@@ -136,17 +141,30 @@ def judge_published(metric: str, scene: str, ours: float, published: float, std:
     return ScoreVerdict(word, margin, low, high, needed, why)
 
 
-def against_published(main: pd.DataFrame, published: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
+def against_published(
+    main: pd.DataFrame,
+    published: pd.DataFrame,
+    keys: list[str],
+    records: Iterable[Record],
+    column: Callable[[Record], str],
+) -> pd.DataFrame:
     """Return one row per published number: keys, ours, published, difference (ours − published), reason, std, seeds,
     fields of ScoreVerdict, other papers' numbers, image_values. ours: NaN where it is n/a, for the reason.
+
+    records: behind the main table; column: of a record's method. Numbers of another setup than the published one have
+    no verdict, but `n/a` with the reason.
     """
+    setups = {f"setup of {metric}": partial(departures, metric=metric) for metric in load_margins()}
+    published = with_text_of_cells(published, records, setups, column)
+    keys_and_setups = [*keys, "value", *setups]
     ours = main[[*keys, "value", "reason", "std", "seeds", IMAGES]].rename(columns={"value": "ours"})
-    merged = published[[*keys, "value"]].rename(columns={"value": "published"}).merge(ours, on=keys, how="left")
+    merged = published[keys_and_setups].rename(columns={"value": "published"}).merge(ours, on=keys, how="left")
     merged = merged.fillna({"reason": "no such cell in our results", "seeds": 0, IMAGES: ""}).astype({"seeds": int})
     merged["difference"] = merged["ours"] - merged["published"]
     judged = [
-        judge_published(r.metric, getattr(r, "scene", OVERALL), r.ours, r.published, r.std, r.seeds)
-        for r in merged.itertuples()
+        _unlike(row["metric"], row.get(f"setup of {row['metric']}", ""))
+        or judge_published(row["metric"], row.get("scene", OVERALL), *(row[name] for name in NUMBERS))
+        for row in merged.to_dict("records")
     ]
     verdicts = pd.DataFrame(judged, columns=list(ScoreVerdict._fields), index=merged.index)
     table = pd.concat([merged[[*keys, "ours", "published", "difference", "reason", "std", "seeds"]],
@@ -155,9 +173,20 @@ def against_published(main: pd.DataFrame, published: pd.DataFrame, keys: list[st
     return with_other_papers(table).assign(**{IMAGES: merged[IMAGES]})
 
 
+def _unlike(metric: str, setup: str) -> ScoreVerdict | None:
+    """Return that a number is not judged if its cells are of another setup than the published number; else None."""
+    nan = float("nan")
+    return ScoreVerdict(NEVER, load_margins()[metric], nan, nan, NEVER, f"{UNLIKE}: {setup}") if setup else None
+
+
 def comparable(differences: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows of difference.csv that a verdict is about: those whose metric has a margin."""
-    return differences[differences["metric"].isin(load_margins())]
+    """Return the rows of difference.csv that have a verdict: of the published setup, whose metric has a margin."""
+    return differences[differences["metric"].isin(load_margins()) & (differences["verdict"] != NEVER)]
+
+
+def unlike_published(differences: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of difference.csv that are not judged, since our cells are of another setup."""
+    return differences[differences["metric"].isin(load_margins()) & (differences["verdict"] == NEVER)]
 
 
 def verdicts_in_words(judged: pd.DataFrame) -> str:
@@ -167,7 +196,8 @@ def verdicts_in_words(judged: pd.DataFrame) -> str:
     '1 reproduced, 1 undecided (7 seeds would decide 1)'
     """
     counts = judged["verdict"].value_counts()
-    text = ", ".join(f"{counts[word]} {word}" for word in WORDS if word in counts)
+    words = {**{word: word for word in WORDS}, NEVER: "not judged"}
+    text = ", ".join(f"{counts[word]} {said}" for word, said in words.items() if word in counts)
     needed = seeds_in_words(judged)
     return text + (f" ({needed})" if needed else "")
 

@@ -93,7 +93,7 @@ def test_cells_of_one_experiment_alone_are_named(tmp_path, capsys):
 
 
 def test_what_differs_is_told_by_what_it_decides(tmp_path):
-    config = {"metrics": {"ssim_border": "valid"}, "budget": {"_target_": "Budget", "iterations": 9}}
+    config = {"metrics": {"ssim_border": "valid"}, "budget": {"name": "paper", "_target_": "Budget", "iterations": 9}}
     a, b = two_experiments(
         tmp_path, [20.0, 21.0], [20.0, 21.0], config=config, environment={"packages": {"torch": "3"}}
     )
@@ -146,7 +146,7 @@ def test_two_protocols_are_refused_and_said(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("extra", "said", "status"),
     [
-        ({"config": {"metrics": {"lpips": {"net": "alex"}}}},
+        ({"config": {"budget": {"name": "paper"}, "metrics": {"lpips": {"net": "alex"}}}},
          "two protocols (metrics.lpips.net: not recorded → alex)", 1),
         ({"scores": {"lpips": None}, "missing": {"lpips": "no weights"}}, "B has none: no weights", 0),
     ],

@@ -19,6 +19,7 @@ def write(experiment, method="tdg", scene="Truck", dataset="RGBT-Scenes", group=
     record = Record(method, dataset, scene, init, seed, experiment.name, extra.pop("variant", ""), group=group)
     record.scores = {"psnr": 20.0, "ssim": 0.8, "lpips": 0.2, **extra.pop("scores", {})}
     record.seconds = {"train": 360.0}
+    record.config = {"budget": {"name": "paper"}}
     return write_record(experiment, record, extra)
 
 

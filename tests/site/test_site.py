@@ -16,10 +16,11 @@ from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.plan import MetricEntry, Plan
 from tdgbench.cells.record import read_all
 from tdgbench.packs import pack
-from tdgbench.site.packed import SCORES, training_in_words
+from tdgbench.site.packed import SCORES
 from tdgbench.site.site_pages import main
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import as_text
+from tdgbench.tables.overrides import training_in_words
 from tdgbench.tables.published import published_main
 from tests.helpers.browser import CHROMIUM, opened
 from tests.helpers.html_page import HtmlPage

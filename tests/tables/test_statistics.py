@@ -47,6 +47,26 @@ def test_intervals_hold_what_the_samples_hold(tmp_path):
     assert intervals(cells).equals(intervals(read_results(tmp_path).finished))
 
 
+def test_more_seeds_of_the_same_views_do_not_narrow_an_interval(tmp_path):
+    """Views are the same in all seeds: three equal trainings tell what one does."""
+    psnr, widths = 20 + np.random.default_rng(1).normal(size=12), []
+    for experiment, seeds in (("one", 1), ("three", 3)):
+        for seed in range(seeds):
+            with_views(write(tmp_path / experiment, seed=seed), psnr)
+        row = intervals(read_results(tmp_path / experiment).finished).set_index("metric").loc["psnr"]
+        widths.append((row["ci95_high"] - row["ci95_low"]).max())
+    assert widths[1] == pytest.approx(widths[0], rel=1e-9)
+
+
+def test_an_average_has_an_interval_only_if_all_of_its_scenes_have(tmp_path):
+    for scene in ("Truck", "Dimsum"):
+        folder = write(tmp_path, scene=scene)
+        if scene == "Truck":
+            with_views(folder, [20.0, 21.0, 22.0])
+    found = intervals(read_results(tmp_path).finished).query("metric == 'psnr'").set_index("scene")
+    assert found.loc["Truck", "ci95_low"] < 21 and np.isnan(found.loc["Average", "ci95_low"])
+
+
 def test_the_published_numbers_are_reproduced_by_themselves(tmp_path, published_tables):
     assert set(published_tables.difference["verdict"]) == {UNDECIDED}  # one seed
     for seed in (0, 1):

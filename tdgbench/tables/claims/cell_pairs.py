@@ -38,10 +38,13 @@ class Interval(NamedTuple):
 
 
 def make_pairs(evidence: ClaimEvidence, mine: Side, other: Side) -> list[CellPair]:
-    """Return cells with equal setup, seed and iterations. A cell that two experiments hold counts once."""
+    """Return cells with equal setup, seed and planned iterations: when they settled is an outcome.
+
+    A cell that two experiments hold counts once.
+    """
     sides: list[dict[tuple[object, ...], Cell]] = [{}, {}]
     for setup, cell in evidence.placed:
-        key = (setup, cell.record.seed, cell.planned_iterations, cell.record.iterations)
+        key = (setup, cell.record.seed, cell.planned_iterations)
         for by_key, side in zip(sides, (mine, other), strict=True):
             if (cell.record.method, cell.record.init) == side:
                 by_key.setdefault(key, cell)

@@ -18,7 +18,7 @@ from tdgbench.scenes.registry import DATASETS, is_built_in
 from tdgbench.tables import methods
 from tdgbench.tables.likeness import setups
 from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages
-from tdgbench.tables.measures import AVERAGE, KEYS, OVERALL
+from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL
 from tdgbench.tables.overrides import overrides_of
 from tdgbench.tables.results import Cell, read_results
 from tdgbench.tables.statistics import seed_values
@@ -163,7 +163,7 @@ class ClaimEvidence:
         """The cells of the main table, and in words which are left out: see `decisive`.
 
         They are of the paper's method and its baseline from COLMAP points, at `published_lengths`. Only setups and
-        seeds that both methods have count.
+        seeds that both methods have count, and none where the paper's method trains for longer.
         """
         new: dict[tuple[str, int], Cell] = {}
         old: dict[tuple[str, int], Cell] = {}
@@ -172,7 +172,8 @@ class ClaimEvidence:
             if cell.record.init == "colmap" and self.published_lengths.get((method, setup)) == cell.planned_iterations:
                 chosen = new if method == methods.paper_pair().method else old
                 chosen.setdefault((setup, cell.record.seed), cell)
-        return decisive([(cell, old[place]) for place, cell in new.items() if place in old])
+        both = [(cell, old[place]) for place, cell in new.items() if place in old]
+        return decisive([pair for pair in both if pair[0].planned_iterations <= pair[1].planned_iterations])
 
     @property
     def published_cells(self) -> list[Cell]:
@@ -199,10 +200,22 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     evidence = ClaimEvidence(pd.DataFrame(columns=KEYS), None, False, tuple(cells), equal_sized=tuple(equal))
     chosen = evidence.published_cells
     plan = Plan(methods=list(methods.paper_pair()) if chosen else [])
-    rows = cell_rows([replace(cell.record, variant="") for cell in chosen], plan)
+    rows = _with_times_of_one_machine(cell_rows([replace(cell.record, variant="") for cell in chosen], plan), chosen)
     main, by_seed = with_averages(scene_rows(rows)), seed_values(rows) if chosen else None
     note = "; ".join(filter(None, [_lengths(chosen), evidence.published_pairs[1]]))
     return replace(evidence, main=main, note=note, by_seed=by_seed)
+
+
+def _with_times_of_one_machine(rows: pd.DataFrame, cells: Sequence[Cell]) -> pd.DataFrame:
+    """Return `cell_rows` without the times of scenes whose cells ran on several machines or numbers of threads."""
+    machines: dict[tuple[str, str], set[tuple[str, ...]]] = {}
+    for cell in cells:
+        machines.setdefault(cell.dataset_and_scene, set()).add(cell.machine)
+    several = {place for place, found in machines.items() if len(found) > 1}
+    places = zip(rows["dataset"], rows["scene"], rows["metric"], strict=True)
+    dropped = [metric == HOURS.name and (dataset, scene) in several for dataset, scene, metric in places]
+    rows.loc[dropped, ["value", "reason"]] = [float("nan"), "times of several machines or numbers of threads"]
+    return rows
 
 
 def decisive(compared: Sequence[Cells]) -> tuple[list[Cells], str]:

@@ -29,7 +29,7 @@ def test_cells_pair_where_nothing_else_differs(tmp_path):
     [
         {"data": "other"},
         {"split": "folder"},
-        {"iterations": 900},
+        {"config": {"budget": {"iterations": 900}, "method": {}}},
         {"config": {"skip": {"sh": True}}},
         {"backend": "gsplat"},
         {"protocol": "2-a"},
@@ -39,6 +39,7 @@ def test_cells_pair_where_nothing_else_differs(tmp_path):
 def test_what_keeps_cells_apart(tmp_path, change):
     mine, other = cell(tmp_path, "tdg"), cell(tmp_path, "3dgs_smooth")
     mine.record.config = other.record.config = {"budget": {"iterations": 1000}, "method": {}}
+    other.record.iterations = 700  # where it settled
     assert len(make_pairs(ours(mine, other), TDG, SMOOTH)) == 1
     for name, value in change.items():
         setattr(other.record, name, value)
