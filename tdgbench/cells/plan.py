@@ -24,7 +24,7 @@ from tdgbench.scenes import Description
 PLAN_FILE = "experiment.json"
 OF_A_CELL = ("method", "dataset", "scene", "init", "seed")
 IN_THE_PATH = (*OF_A_CELL, "name", "results")  # keys that are part of a cell's path or do not concern it
-SET_ALONE = ("scene", "seed")  # options that no file and no other option hangs on
+SET_ALONE = ("scene", "seed")  # options that no file and no other option depends on
 LAST = 1000  # order of a method that names none
 LONGEST_LABEL = 100  # characters
 

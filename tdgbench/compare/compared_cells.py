@@ -60,7 +60,7 @@ def score_table(pairs: Pairs, causes: Sequence[Cause]) -> pd.DataFrame:
     for place, by_seed in pairs.by_place.items():
         values_of_images, seeds = image_values(cell.record for pair in by_seed.values() for cell in pair), [*by_seed]
         is_repeat = not any(pair.is_one_training for pair in by_seed.values())
-        is_elsewhere = any(place in cause.places for cause in causes)  # times and memory hang on the machine
+        is_elsewhere = any(place in cause.places for cause in causes)  # times and memory depend on the machine
         is_repeat &= all(cause.kind in (MACHINE, VERSION) or place not in cause.places for cause in causes)
         for metric in known_measures():
             values = np.array([_values(pair, metric) for pair in by_seed.values()])

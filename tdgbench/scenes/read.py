@@ -178,7 +178,7 @@ def _camera(posed: RegisteredImage, found: Header | None, options: ReadOptions) 
 def _about_images(
     sources: Mapping[str, ImageSource], photos: Mapping[str, ImageSource], options: ReadOptions
 ) -> dict[str, str]:
-    """Return which pixels files have, what they are resampled to and by what, and what they state in vain."""
+    """Return which pixels files have, what they are resampled to and by what, and which statements are ignored."""
     headers, of_photos = ([one.header for one in some.values() if one.header] for some in (sources, photos))
     native = _listed({(one.width, one.height) for one in headers})
     cameras = _listed({source.posed.source_size for source in sources.values()})

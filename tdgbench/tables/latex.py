@@ -229,7 +229,7 @@ def _time_unit(cells: Sequence[GridCell]) -> TimeUnit:
 
 
 def _range(rows: Iterable[GridRow], grid: Grid) -> str:
-    """Return ` (10 to 35 °C)` of a scene in °C, whose PSNR hangs on it; empty for others."""
+    """Return ` (10 to 35 °C)` of a scene in °C, on which its PSNR depends; empty for others."""
     spans = {row.cells[grid.names.index(RANGE)].text for row in rows} - {"n/a"} if RANGE in grid.names else set[str]()
     return f" ({escape(', '.join(sorted(spans)))} $^\\circ$C)" if spans else ""
 

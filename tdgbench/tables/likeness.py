@@ -250,7 +250,7 @@ class _Own(NamedTuple):
 
 
 def _plain(value: object) -> Hashable:
-    """Return a value that is its own key."""
+    """Return a value as it is compared: without its mark, and as text if it cannot be hashed."""
     value = value.value if isinstance(value, _Own) else value
     return value if isinstance(value, Hashable) else as_typed(value)
 

@@ -89,7 +89,7 @@ def finished_outcomes(cfg: DictConfig, jobs: Jobs, plan: Plan) -> list[Outcome]:
 def _scenes_of(cfg: DictConfig, by_dataset: Iterable[DictConfig]) -> tuple[list[Description], float]:
     """Return the scenes of each data set of a sweep, and the share of its cells whose scene is not on disk.
 
-    Scenes that are not are printed. Cells with options that are not allowed fail by themselves: they are none of these.
+    Scenes that are not on disk are printed. Cells with options that are not allowed do not count: they fail later.
     Raises SceneError for an unknown scene; in a folder of captures, one that is not there.
     """
     scenes, missing, configs = list[Description](), 0.0, list(by_dataset)

@@ -119,7 +119,7 @@ def _deep_colour_type(source: Source) -> int | None:
 
 
 def _not_applied(image: Image.Image) -> tuple[str, ...]:
-    """Return what a picture states in vain."""
+    """Return what a picture states and its reader ignores."""
     said, content = [], image.info.get("icc_profile")
     turned = image.getexif().get(ExifTags.Base.Orientation, 1) if image.format in LOSSY else 1
     if turned != 1:
