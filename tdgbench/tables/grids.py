@@ -47,8 +47,8 @@ def main_grid(
 ) -> Grid:
     """Return the rows of a main table in its order, methods of a scene together; their `place` is of SCENE_KEYS.
 
-    metrics: by default COLUMNS; where there are °C, with the error in °C and the range, on which PSNR depends. notes: on
-    unlike trainings. Averages of one scene are left out.
+    metrics: by default COLUMNS; where there are °C, with the error in °C and the range, on which PSNR depends. notes:
+    on unlike trainings. Averages of one scene are left out.
     """
     published = _by_keys(difference, [*SCENE_KEYS, "metric"])
     metrics = metrics or _usual_columns(main)
