@@ -24,6 +24,7 @@ from tdgbench.text import as_typed
 BUDGET = "budget paper"
 SPLITS = ("eighty_twenty", "folder")
 FREE = ("data.root", "data.split", "metrics.convention", "metrics.extra")  # no setting of a score, or told apart above
+OWN_WEIGHTS = {"metrics.lpips.weights_sha256": None}  # recorded of other weights than torchvision's
 MOST = 4  # departures that a reason names
 
 
@@ -39,19 +40,18 @@ def departures(records: Iterable[Record], metric: str) -> str:
 
 
 def _departures(record: Record, metric: str) -> Iterable[str]:
-    budget, camera, source = training_in_words(record), record.setting("thermal_camera.name"), record.prior_source
+    budget, source, camera = training_in_words(record), record.prior_source, record.setting("thermal_camera")
     if budget != BUDGET:
         yield budget
     if record.split and record.split not in SPLITS:
         yield f"data.split={record.split}"
     if not source.counts:
         yield f"depth prior made from {source.words}"
-    if camera not in (None, "ideal"):
-        yield f"thermal_camera={camera}"
     yield from overrides_of(record)
     usual = _usual()
-    for name, value in protocol_settings(record.config).items():
-        if name not in FREE and usual.get(name) != value and _decides(name, metric):
+    options = protocol_settings(record.config) | flat({"thermal_camera": camera if isinstance(camera, dict) else {}})
+    for name, value in options.items():
+        if name not in FREE and usual.get(name, value) != value and _decides(name, metric):
             yield f"{name}={as_typed(value)}"
 
 
@@ -66,6 +66,10 @@ def _decides(option: str, metric: str) -> bool:
 def _usual() -> dict[str, Any]:
     """Return the options of reading and scoring in the files that `table1` is made of, by their names in print."""
     config: Any = OmegaConf.load(conf_folder() / "config.yaml")
-    metrics: Any = filed("metrics", "3dgs")
-    named = {"data": OmegaConf.to_container(config.data), "metrics": OmegaConf.to_container(metrics)}
-    return {name: value for name, value in flat(named).items() if not name.endswith("_target_")}
+    parts = {
+        "data": config.data,
+        "metrics": filed("metrics", "3dgs"),
+        "thermal_camera": filed("thermal_camera", "ideal"),
+    }
+    named = flat({name: OmegaConf.to_container(part) for name, part in parts.items()})
+    return {name: value for name, value in named.items() if not name.endswith("_target_")} | OWN_WEIGHTS

@@ -31,8 +31,10 @@ def published(method, config, **fields):
          "metrics.lpips.net=squeeze"),
         ({"config": {"budget": {"name": "paper"}, "metrics": {"lpips": {"net": "squeeze"}}}}, "psnr", ""),
         ({"config": {"budget": {"name": "paper"}, "dataset": {"options": {"width": 320}}}}, "psnr", "data.width=320"),
-        ({"config": {"budget": {"name": "paper"}, "thermal_camera": {"name": "estimated"}}}, "psnr",
-         "thermal_camera=estimated"),
+        ({"config": {"budget": {"name": "paper"}, "thermal_camera": {"estimate": True}}}, "psnr",
+         "thermal_camera.estimate=true"),
+        ({"config": {"budget": {"name": "paper"}, "metrics": {"lpips": {"net": "vgg", "weights_sha256": "a"}}}},
+         "lpips", "metrics.lpips.weights_sha256=a"),
     ],
 )  # fmt: skip
 def test_what_departs_is_not_judged(tmp_path, fields, metric, said):
