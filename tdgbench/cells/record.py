@@ -17,6 +17,7 @@ from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.cells.prior_sources import Source, source_of
 from tdgbench.cells.read_files import read_text
 from tdgbench.files import write_text
+from tdgbench.scenes.registry import ORIGIN, is_built_in
 from tdgbench.text import one_line, shortened
 
 SCHEMA: Literal[2] = 2
@@ -177,6 +178,11 @@ class Record:
         skips, channels = self.setting("skip"), self.setting("dataset.options.channels")
         skips = skips if isinstance(skips, dict) else {}
         return self.channels == 3 and channels != 3 and skips.get("gray", skips.get("otherwise", True)) is not False
+
+    @property
+    def is_of_built_in_scene(self) -> bool:
+        """Whether the scene is built into tdgbench, also if its files were read as those of a capture."""
+        return is_built_in(self.dataset) or ORIGIN in self.assumed
 
     @property
     def scene_files(self) -> str:

@@ -21,7 +21,7 @@ from tdgbench.scenes.layouts import LAYOUTS, Layout, SceneFiles, detect
 from tdgbench.scenes.layouts.layout import by_view, find_images
 from tdgbench.scenes.names import in_case_alone
 from tdgbench.scenes.options import Description, ReadOptions, split_names
-from tdgbench.scenes.registry import sensor_of
+from tdgbench.scenes.registry import origin_of, sensor_of
 from tdgbench.scenes.scene import Scene, View
 from tdgbench.scenes.thermal import ThermalRequest, thermal_images
 from tdgbench.scenes.view_images import ImageSource, ThermalImages, native_camera, resample
@@ -80,7 +80,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         notes=[*scene_files.notes, *notes, *left_out], folder=folder, model=scene_files.model,
         assumed={
             **({"layout": f"{layout.title}: {layout.looks}"} if detected else {}),
-            **sensor_of(description.dataset, description.scene),
+            **origin_of(folder), **sensor_of(description.dataset, description.scene),
             **scene_files.assumed, **_about_images(sources, photos, options), **_about_lenses(sources.values()),
         },
     )  # fmt: skip

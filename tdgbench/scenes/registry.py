@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tdgbench.scenes.errors import SceneError
-from tdgbench.scenes.inputs import is_folder, is_hidden, listed
+from tdgbench.scenes.inputs import is_folder, is_hidden, is_there, listed
 
 GROUPS = {
     "day": "Day light conditions",
@@ -84,6 +84,15 @@ SCENES = tuple(
 
 BUILT_IN, BUILT_IN_DEGC = "synthetic", "synthetic_degC"  # titles of the generated scenes' data sets
 DRIFTING = "_drifting"  # ends the title of a data set with the errors of a thermal camera added
+
+
+BUILT_IN_FILE = "built_in.txt"  # lies in the folder of a built-in scene, which stays one when it is read as a capture
+ORIGIN = "origin"  # key of `Scene.assumed`, which scenes with that file have
+
+
+def origin_of(folder: Path) -> dict[str, str]:
+    """Return that a folder holds a built-in scene, for `Scene.assumed`; empty of captures."""
+    return {ORIGIN: "a scene that is built into tdgbench, no capture"} if is_there(folder / BUILT_IN_FILE) else {}
 
 
 def is_built_in(dataset: str) -> bool:

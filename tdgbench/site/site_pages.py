@@ -232,7 +232,8 @@ def _caveats(rows: Sequence[BoardRow]) -> list[str]:
     for row in rows:
         for record in row.records:
             given.setdefault(record.prior_source.in_full, {})[row.pack.label(row.method)] = None
-    found = ["Built-in scenes: no evidence on the paper."] if is_built_in(rows[0].dataset) else []
+    are_built_in = all(record.is_of_built_in_scene for row in rows for record in row.records)
+    found = ["Built-in scenes: no evidence on the paper."] if are_built_in else []
     if all(ended_by_its_budget(record) for row in rows for record in row.records):
         found.append(f"{BEFORE_A_PLATEAU}.")
     timed = [row for row in rows if not isnan(row.scores[SCORES.index(HOURS.name)].value)]

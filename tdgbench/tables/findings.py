@@ -88,8 +88,8 @@ def _caveats(main: pd.DataFrame, records: Sequence[Record]) -> Iterable[str]:
     yield from before_a_plateau(records)
     scenes = main[~_is_average(main)]
     once = f"one seed decides nothing: {_more_seeds(records)}" if scenes["seeds"].max() == 1 else ""
-    data_sets = set(scenes["dataset"])
-    if all(is_built_in(name) for name in data_sets):
+    data_sets, known = set(scenes["dataset"]), list(records)
+    if all(one.is_of_built_in_scene for one in known) if known else all(map(is_built_in, data_sets)):
         what = "These scenes are built in, so this is no evidence on the paper's claims"
     else:
         what = "" if data_sets & set(DATASETS.values()) else "tdgbench has no published scores of these scenes"

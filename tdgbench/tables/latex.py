@@ -95,7 +95,7 @@ def setup_notes(records: Sequence[Record], timed: bool) -> list[str]:
     """Return what has to be known of the trainings behind a table: scenes, priors, end, and `setup_facts`."""
     if not records:
         return []
-    notes = ["Built-in scenes: no evidence on the paper's claims."] * any(is_built_in(one.dataset) for one in records)
+    notes = ["Built-in scenes: no evidence on the paper's claims."] * any(one.is_of_built_in_scene for one in records)
     return [*notes, *given_priors(records), *before_a_plateau(records), *setup_facts(records, timed)]
 
 

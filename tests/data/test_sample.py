@@ -3,6 +3,8 @@ from dataclasses import replace
 import pytest
 
 from tdgbench.data import sample
+from tdgbench.scenes import FolderDataset, ReadOptions
+from tdgbench.scenes.registry import ORIGIN
 from tests.helpers.command import tdgbench_here
 
 
@@ -14,6 +16,7 @@ def test_a_sample_is_a_scene_that_is_checked_and_read_as_a_folder(tmp_path, monk
     assert run.returncode == 0 and "roof: night, 40 views in the layout of RGBT-Scenes" in run.stdout
     check = tdgbench_here(tmp_path, "data", "check", "roof")
     assert check.returncode == 0 and "│ roof  │ RGBT-Scenes │ 40 " in check.stdout
+    assert ORIGIN in FolderDataset(str(tmp_path), ReadOptions()).load("roof").assumed
     before = (tmp_path / "roof" / "temperature.json").stat().st_mtime_ns
     again = tdgbench_here(tmp_path, "data", "sample", "roof")
     assert again.returncode == 1 and "roof is there already" in again.stderr

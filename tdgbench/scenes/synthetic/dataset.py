@@ -24,7 +24,7 @@ from tdgbench.scenes.inputs import check_scene_name
 from tdgbench.scenes.layouts import LAYOUTS
 from tdgbench.scenes.options import Description, FolderPath, ReadOptions
 from tdgbench.scenes.read import Outline, outline_scene
-from tdgbench.scenes.registry import BUILT_IN, BUILT_IN_DEGC
+from tdgbench.scenes.registry import BUILT_IN, BUILT_IN_DEGC, BUILT_IN_FILE
 from tdgbench.scenes.scene import PointCloud
 from tdgbench.scenes.synthetic.capture import CameraTruth, CaptureErrors, Encoding, TrueRig, levels, limits
 from tdgbench.scenes.synthetic.render import World, local_rays, look_at, render_world
@@ -131,6 +131,7 @@ def _write_files(world: World, folder: Path, asked: SyntheticDataset) -> None:
         Image.fromarray(np.round(rgb * 255).astype(np.uint8)).save(folder / "rgb" / f"{name}.png", compress_level=1)
         np.save(folder / "depth" / f"{name}.npy", depth.astype(np.float32))
         np.save(folder / "temperature" / f"{name}.npy", degC.astype(np.float32))
+    (folder / BUILT_IN_FILE).write_text("This scene is built into tdgbench: it is no capture.\n", encoding="utf-8")
     ends = _write_thermal(folder, measured, world, errors.thermal_camera.files)
     cloud = _sparse_points(shown, round(asked.points * world.point_share), rng)
     files = [f"{name}.png" for name in names]  # of the model; thermal files may have another extension

@@ -14,7 +14,7 @@ from pydantic import ConfigDict
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.prior_sources import SOURCES
 from tdgbench.cells.record import Record, no_records
-from tdgbench.scenes.registry import DATASETS, is_built_in
+from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.likeness import setups
 from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages
@@ -247,7 +247,7 @@ def on_built_in(finding: Finding, cells: Iterable[Cell]) -> Finding:
 
 
 def _is_built_in(cells: Iterable[Cell]) -> bool:
-    return all(is_built_in(cell.record.dataset) for cell in cells)
+    return all(cell.record.is_of_built_in_scene for cell in cells)
 
 
 def _is_plain(record: Record) -> bool:

@@ -7,6 +7,7 @@ from itertools import product
 
 import pytest
 
+from tdgbench.scenes.registry import ORIGIN
 from tdgbench.tables.claims import check_claim, load_claims
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEvidence, evidence_of
 from tdgbench.tables.published import published_ablation, published_main
@@ -96,9 +97,11 @@ def test_gaussians_count_where_density_control_has_begun(tmp_path):
     assert found[900].grounds.endswith("ended before density control began")
 
 
-def test_built_in_scenes_decide_no_claim(tmp_path):
+@pytest.mark.parametrize("of_built_in", [{"dataset": "synthetic"}, {"dataset": "folder", "assumed": {ORIGIN: "made"}}])
+def test_built_in_scenes_decide_no_claim(tmp_path, of_built_in):
+    """Nor do their files when they are read as a capture's."""
     claim = CLAIMS["depth-better"]
-    made = sides(tmp_path, claim, (1.0, 1.1, 0.9), dataset="synthetic", prior={"made_from": "truth"})
+    made = sides(tmp_path, claim, (1.0, 1.1, 0.9), **of_built_in, prior={"made_from": "truth"})
     found = check_claim(claim, ours(*made))
     assert (
         found.verdict == UNDECIDED and "made from true depth: no evidence on a paper; there it holds" in found.grounds
