@@ -38,7 +38,8 @@ OWN = {  # options of budgets that a method's file states, by which key; their v
     "budget.density.grad_threshold": ("grad_threshold", 2.0e-4),
 }
 IGNORED = ("_target_", "seed", "convention")  # last part of an option's name
-PLACES = ("method.method.folder", "method.method.ply")  # where renders and models of other programs are
+# of what other programs made: where it lies
+PLACES = ("method.folder", "method.ply", "method.method.folder", "method.method.ply")
 AUTHORS = "as its authors state"  # in the place of values of OWN
 MOST_SCENES = 3  # of a difference that is another one in each scene
 RANK_UNLIKE = "--rank-unlike"
@@ -286,7 +287,7 @@ def _traits_of(record: Record) -> dict[str, object]:
         "protocol": record.protocol_number, "backend": "" if record.made_elsewhere else record.backend,
         "scene's files": record.scene_files, "image size": record.assumed.get("size", ""),
         "range, °C": " to ".join(f"{end:g}" for end in record.temperature_range or ()),
-        **_of_machine(record),
+        **({} if record.made_elsewhere else _of_machine(record)),  # the times of others are n/a
     }  # fmt: skip
     return traits | {name: value for name, value in others.items() if value}
 

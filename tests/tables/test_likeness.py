@@ -199,3 +199,14 @@ def test_setups_leave_out_method_prior_seed_and_length():
     assert len(set(setups([one, cell("msmg", 10, 5)], with_length=True))) == 2
     newer = record(config={**one.config, "thermal_camera": {"drift": None}})  # off, as before there was the option
     assert setups([newer]) == setups([one])
+
+
+def test_renders_of_several_folders_are_alike(tmp_path):
+    """Where the files lie, and the machine that scored them, is no training."""
+    for seed in range(3):
+        made = {"files": "0" * 16, "summary": "made elsewhere by NeRF"}
+        config = {"method": {"folder": f"renders/{seed}", "method": {"folder": f"renders/{seed}"}}}
+        write(tmp_path, "nerf", "attic", "folder", seed=seed, made_elsewhere=made, config=config,
+              environment={"threads": 1 + seed})  # fmt: skip
+    tables = build_tables(tmp_path)
+    assert tables.main.query("metric == 'psnr'")["seeds"].tolist() == [3, 3] and not tables.problems
