@@ -14,6 +14,7 @@ from omegaconf import DictConfig
 
 from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.init import InitialPoints
+from tdgbench.cells.prior_sources import POINTS
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.priors.known_depth import doubts_of
 from tdgbench.scenes import Scene, SceneError, View
@@ -200,7 +201,7 @@ def _estimate_priors(
         skips.prior.decide(cached > 0, reason, f"{cached} estimates")
         kind = next(iter(priors.values())).kind
         observer.note("prior", {**estimator.identity(scene), "kind": kind, "made_from": cfg.prior.made_from})
-        if cfg.prior.made_from != "points":  # which cannot contradict themselves
+        if cfg.prior.made_from != POINTS:  # which cannot contradict themselves
             observer.doubt([*doubts_of(priors, scene)])
     return {view.name: _where_valid(priors[view.name], view) for view in scene.train}
 
