@@ -31,7 +31,7 @@ class Step:
 
     loss: Tensor  # scalar
     terms: Mapping[str, Tensor | float]  # scalars, for the log; the plateau rule watches `thermal`, else the loss
-    render: Render
+    render: Render  # of a view, or of R rays as an image (R, 1, C)
     target: Tensor  # (H, W, C): the image that `render` is compared with
     valid: Tensor | None = None  # (H, W) bool: the pixels that are compared; None: all
 

@@ -41,7 +41,7 @@ def test_it_learns_both_images_and_the_depth(small_gray_scene):
         "thermal",
         "distortion",
     }
-    method, view = trainer.method, small_gray_scene.test[0]
+    method, view = trainer.method, small_gray_scene.train[0]
     frame = trainer.context.frame(view)
     for modality, truth in (("thermal", view.thermal), ("rgb", view.rgb)):
         render = method.render(frame, modality)
