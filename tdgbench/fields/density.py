@@ -11,8 +11,6 @@ from tdgbench.fields.hash_grid import HashGrid
 from tdgbench.fields.kernels import FEATURES
 from tdgbench.fields.networks import MLP, truncated_exp
 
-INITIAL_DENSITY = 0.01  # about that of a field at the start, per radius of the region; nerfacto's average_init_density
-
 
 @dataclass(frozen=True)
 class GridOptions:
@@ -23,6 +21,7 @@ class GridOptions:
     finest: int
     log2_rows: int  # of the largest table of a level
     hidden: int  # width of the network
+    initial_density: float  # of the untrained field, about, per radius of the region
 
 
 class DensityField(nn.Module):
@@ -33,6 +32,7 @@ class DensityField(nn.Module):
 
     def __init__(self, options: GridOptions, features: int, generator: torch.Generator) -> None:
         super().__init__()
+        self.initial_density = options.initial_density
         self.grid = HashGrid(options.levels, options.coarsest, options.finest, options.log2_rows, generator)
         self.network = MLP((FEATURES * options.levels, options.hidden, 1 + features), generator)
 
@@ -40,4 +40,4 @@ class DensityField(nn.Module):
         """Return densities (N,) and features (N, F) of contracted positions (N, 3)."""
         out = self.network(self.grid(contracted))
         logarithm, features = out.split([1, out.shape[1] - 1], dim=1)
-        return INITIAL_DENSITY * truncated_exp(logarithm.squeeze(1)), features
+        return self.initial_density * truncated_exp(logarithm.squeeze(1)), features

@@ -36,16 +36,15 @@ class Spacing(NamedTuple):
 
 
 def stratified_edges(rays: int, count: int, generator: torch.Generator | None) -> Tensor:
-    """Return the edges (rays, count + 1) in [0, 1] of `count` intervals: even ones, with jitter by the generator.
+    """Return the edges (rays, count + 1) in [0, 1] of `count` intervals: even ones, whose inner edges are shifted.
 
-    Inner edges are uniform between the centres of the even intervals.
+    generator: of one shift for each ray, by up to half an interval; None: no shift.
     """
     even = torch.linspace(0, 1, count + 1)
     if generator is None:
         return even.expand(rays, -1)
-    jitter = torch.rand(rays, count + 1, generator=generator) - 0.5
-    jitter[:, 0], jitter[:, -1] = 0, 0
-    return even + jitter / count
+    shift = (torch.rand(rays, 1, generator=generator) - 0.5) / count
+    return torch.cat([even[:1].expand(rays, 1), even[1:-1] + shift, even[-1:].expand(rays, 1)], dim=1)
 
 
 def resampled_edges(edges: Tensor, weights: Tensor, count: int, generator: torch.Generator | None) -> Tensor:

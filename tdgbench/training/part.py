@@ -127,7 +127,7 @@ class Network(Part):
 
     def step(self, iteration: int) -> str | None:
         for name, parameter in self.module.named_parameters():
-            if parameter.grad is not None and not torch.isfinite(torch.stack(torch.aminmax(parameter.grad))).all():
+            if parameter.grad is not None and not _is_finite(parameter.grad):
                 return name
         self.optimizer.step()
         return None
@@ -136,7 +136,7 @@ class Network(Part):
         self._slowdown = factor
 
     def not_finite(self) -> str | None:
-        return next((name for name, tensor in self.module.state_dict().items() if not tensor.isfinite().all()), None)
+        return next((name for name, tensor in self.module.state_dict().items() if not _is_finite(tensor)), None)
 
     def state_dict(self) -> State:
         module, optimizer = dict(self.module.state_dict()), self.optimizer.state_dict()
@@ -155,6 +155,11 @@ class Network(Part):
 
     def report(self) -> Report:
         return {"parameters": sum(parameter.numel() for parameter in self.module.parameters())}
+
+
+def _is_finite(tensor: torch.Tensor) -> bool:
+    """Return whether all values are finite: one pass without temporary tensors, which large tables would feel."""
+    return not tensor.numel() or bool(torch.isfinite(torch.stack(torch.aminmax(tensor))).all())
 
 
 class TrainingError(Exception):

@@ -33,7 +33,9 @@ def compile_kernels(
 
 def compile_field_kernels(backend: str) -> None:
     """Compile the kernels of radiance fields, by a step of a small one."""
-    field = DensityField(GridOptions(2, 4, 8, 8, 8), 1, torch.Generator().manual_seed(0)).to(training_device(backend))
+    field = DensityField(GridOptions(2, 4, 8, 8, 8, 1.0), 1, torch.Generator().manual_seed(0)).to(
+        training_device(backend)
+    )
     optimizer = FieldAdam(field.parameters(), 0.01)
     densities, features = field(torch.rand(8, 3, device=training_device(backend)))
     (densities.sum() + features.sum()).backward()

@@ -4,7 +4,7 @@ import torch
 
 from tdgbench.fields.adam import FieldAdam
 from tdgbench.fields.contraction import Region
-from tdgbench.fields.density import INITIAL_DENSITY, DensityField, GridOptions
+from tdgbench.fields.density import DensityField, GridOptions
 from tdgbench.fields.proposals import Sampler, annealed, proposal_loss
 from tdgbench.fields.rays import Rays
 
@@ -13,7 +13,7 @@ WALL = 2.3  # z of the surface in front of the cameras
 
 
 def field(seed: int = 0) -> DensityField:
-    return DensityField(GridOptions(4, 8, 64, 12, 16), 3, torch.Generator().manual_seed(seed))
+    return DensityField(GridOptions(4, 8, 64, 12, 16, 0.01), 3, torch.Generator().manual_seed(seed))
 
 
 def rays(count: int = 256) -> Rays:
@@ -24,7 +24,7 @@ def rays(count: int = 256) -> Rays:
 
 def test_the_start_is_thin_and_the_same_for_equal_seeds():
     densities, features = field()(torch.rand(100, 3))
-    assert torch.allclose(densities, torch.tensor(INITIAL_DENSITY), rtol=0.01) and features.shape == (100, 3)
+    assert torch.allclose(densities, torch.tensor(0.01), rtol=0.01) and features.shape == (100, 3)
     assert all(torch.equal(a, b) for a, b in zip(field().parameters(), field().parameters(), strict=True))
 
 

@@ -42,10 +42,14 @@ WORKED = ["gradient", "cooling", "one_geometry", "fine_tuned", "rig"]  # example
 OPTIONS = [
     "3dgs thermal_camera.rig=true",
     "msmg thermal_camera.rig=true",
-    pytest.param(
-        "mftg budget=lean budget.settling.every=5 budget.settling.fewest=1 budget.settling.checks=1 "
-        "budget.settling.full_checks=1 budget.settling.full_after=0 budget.settling.stalled_checks=99",
-        id="mftg budget=lean",
+    *(
+        pytest.param(
+            f"{name} budget=lean budget.settling.every=5 budget.settling.fewest=1 budget.settling.checks=1 "
+            "budget.settling.full_checks=1 budget.settling.full_after=0 budget.settling.stalled_checks=99 "
+            "budget.settling.tail=0.2",
+            id=f"{name} budget=lean",
+        )
+        for name in ("mftg", "thermonerf_thermal")
     ),
 ]  # that change parts
 
