@@ -36,17 +36,13 @@ def folder(tmp_path_factory, data_root):
 def test_it_learns_both_images_and_the_depth(small_gray_scene):
     trainer = ready_to_train(small_gray_scene, "thermonerf", 150, *SIZE)
     log = train(trainer)
-    assert log.lines[-1].loss < 0.3 * log.lines[0].loss and log.lines[-1].terms.keys() >= {
-        "rgb",
-        "thermal",
-        "distortion",
-    }
+    first, last = log.lines[0].terms, log.lines[-1].terms
+    assert last["thermal"] < 0.2 * first["thermal"] and last["rgb"] < 0.4 * first["rgb"] and "distortion" in last
     method, view = trainer.method, small_gray_scene.train[0]
     frame = trainer.context.frame(view)
-    for modality, truth in (("thermal", view.thermal), ("rgb", view.rgb)):
-        render = method.render(frame, modality)
-        assert render.image.shape == truth.shape
-        assert np.abs(render.image.numpy() - truth).mean() < 0.6 * np.abs(truth.mean(axis=(0, 1)) - truth).mean()
+    render = method.render(frame)
+    assert np.abs(render.image.numpy() - view.thermal).mean() < 0.4 * np.abs(view.thermal - view.thermal.mean()).mean()
+    assert method.render(frame, "rgb").image.shape == view.rgb.shape
     region = method.field.region
     surface = render.alpha.numpy() > 0.5
     depth = render.expected_depth[surface]
