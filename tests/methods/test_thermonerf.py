@@ -12,6 +12,7 @@ from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.read_files import read_picture
 from tdgbench.cells.record import read_record
 from tdgbench.scoring import to_8bit
+from tdgbench.splats.cpu import pool
 from tdgbench.tables.measures import GAUSSIANS, PARAMETERS
 from tdgbench.tensors import load_tensors
 from tdgbench.training.loop import train
@@ -128,3 +129,16 @@ def test_positions_need_no_gradient_and_images_are_in_range(small_gray_scene):
     render = trainer.method.render(trainer.context.frame(small_gray_scene.test[0]))
     assert render.image.min() >= 0 and render.image.max() <= 1 and not render.image.requires_grad
     assert torch.all((render.transmittance >= -1e-5) & (render.transmittance <= 1))
+
+
+def test_threads_change_no_byte(small_gray_scene):
+    digests = set()
+    try:
+        for threads in (1, 3):
+            pool.set_threads(threads)
+            trainer = ready_to_train(small_gray_scene, "thermonerf", 6, *SIZE)
+            train(trainer)
+            digests.add(digest_of_all(trainer))
+    finally:
+        pool.set_threads(None)
+    assert len(digests) == 1
