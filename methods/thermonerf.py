@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -179,29 +180,20 @@ class ThermoNeRF(Method):
             raise ValueError("the budget lacks `field`, the size of a radiance field; see conf/budget/paper.yaml")
         if len(size.samples) > 1 + len(self.proposal_finest):
             raise ValueError(f"budget.field.samples names {len(size.samples) - 1} proposals, the method has fewer")
-        generator = torch.Generator().manual_seed(context.seed)
-        rows, scene = min(self.proposal_log2_rows, size.log2_rows), context.scene
-        proposals = [
-            DensityField(
-                GridOptions(
-                    self.proposal_levels, self.cells[0], finest, rows, self.proposal_width, self.initial_density
-                ),
-                0,
-                generator,
-            )
-            for finest in self.proposal_finest[len(self.proposal_finest) + 1 - len(size.samples) :]
-        ]
-        options = GridOptions(
-            self.levels, self.cells[0], self.cells[1], size.log2_rows, self.width, self.initial_density
-        )
+        generator, scene = torch.Generator().manual_seed(context.seed), context.scene
+        grid = partial(GridOptions, coarsest=self.cells[0], initial_density=self.initial_density)
+        rows, first = min(self.proposal_log2_rows, size.log2_rows), 1 + len(self.proposal_finest) - len(size.samples)
+        small = partial(grid, levels=self.proposal_levels, log2_rows=rows, hidden=self.proposal_width)
+        proposals = [DensityField(small(finest=finest), 0, generator) for finest in self.proposal_finest[first:]]
+        options = grid(levels=self.levels, finest=self.cells[1], log2_rows=size.log2_rows, hidden=self.width)
         density = DensityField(options, FEATURES, generator)
         thermal = ThermalHead(self.width, scene.channels, generator)
         colour = ColourHead(self.width, self.appearance, len(scene.train), generator) if self.rgb else None
         module = ThermalField(Sampler(proposals, size.samples), density, thermal, colour).to(context.device)
         self.iterations, self.size = context.budget.schedule_length, size
         rate = falling(self.rates, max(1, round(self.rate_end * self.iterations)))
-        self.field = module
         context.add_part("field", Network(module, rate, FieldAdam))
+        self.field = module
         self.batches = context.rays(self.modalities)
         self.jitter = context.random("jitter")
         self.points, self.poses = context.points.points, np.stack([v.camera.world_to_camera for v in scene.train])

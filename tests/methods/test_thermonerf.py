@@ -11,6 +11,7 @@ import torch
 from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.read_files import read_picture
 from tdgbench.cells.record import read_record
+from tdgbench.fields import Rays, distortion_loss, proposal_loss
 from tdgbench.scoring import to_8bit
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.measures import GAUSSIANS, PARAMETERS
@@ -142,3 +143,23 @@ def test_threads_change_no_byte(small_gray_scene):
     finally:
         pool.set_threads(None)
     assert len(digests) == 1
+
+
+def test_the_whole_field_is_that_of_float64_in_value_and_gradient(small_gray_scene):
+    """The loss of rays, and its gradient in each parameter, against plain torch."""
+    trainer = ready_to_train(small_gray_scene, "thermonerf", 40, *SIZE)
+    train(trainer)
+    batch, results = trainer.method.batches.next(200), []
+    for dtype in (torch.float32, torch.float64):
+        field = copy.deepcopy(trainer.method.field).to(dtype)
+        field.zero_grad()
+        shown = field(Rays(*(tensor.to(dtype) for tensor in batch.rays)), ("thermal", "rgb"), batch.views, learns=True)
+        loss = sum((image - batch.pixels[name].to(dtype)).square().mean() for name, image in shown.images.items())
+        loss = loss + distortion_loss(shown.samples.places, shown.weights)
+        loss = loss + proposal_loss(shown.samples, shown.weights, shown.proposed)
+        loss.backward()
+        results.append((loss.item(), {name: parameter.grad for name, parameter in field.named_parameters()}))
+    (single, gradients), (exact, exact_gradients) = results
+    assert single == pytest.approx(exact, rel=1e-4)
+    for name, gradient in gradients.items():
+        assert (gradient - exact_gradients[name]).norm() <= 3e-3 * exact_gradients[name].norm(), name
