@@ -34,7 +34,7 @@ from tdgbench.fields import (
     region_of,
 )
 from tdgbench.fields.proposals import Proposed, Samples
-from tdgbench.fields.volume import composited, transmittance_of
+from tdgbench.fields.volume import composited
 from tdgbench.scenes import Scene
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget
@@ -50,18 +50,16 @@ TIMED = 4096  # positions
 
 
 class Rendered(NamedTuple):
-    """What R rays show, by modality, with the samples that it was made of."""
+    """What R rays show, by modality, with the samples that it was made of.
+
+    The last sample of a ray hides what is behind it, in images (thermal_renderer.py) as in depth.
+    """
 
     images: dict[str, Tensor]  # (R, C)
-    depth: Tensor  # (R,) accumulated z
-    weights: Tensor  # (R, S)
+    depth: Tensor  # (R,) z
+    weights: Tensor  # (R, S), without that
     samples: Samples
     proposed: list[Proposed]
-
-    @property
-    def transmittance(self) -> Tensor:
-        """(R,)"""
-        return transmittance_of(self.weights)
 
 
 class ThermalHead(nn.Module):
@@ -132,14 +130,15 @@ class ThermalField(nn.Module):
         samples, proposed = self.sampler(rays, self.region, generator, annealing, learns)
         densities, features = self.density(samples.contracted)
         weights, images = samples.weights(densities), {}
+        before = weights[:, :-1]
+        shares = torch.cat([before, 1 - before.sum(dim=1, keepdim=True)], dim=1)
         for modality in modalities:
             if modality == "rgb" and self.colour is not None:
                 values = self.colour(features, rays.directions, views)
             else:
                 values = self.thermal(features)
-            values = values.view(*weights.shape, -1)
-            images[modality] = composited(weights, values, values[:, -1])  # over the last sample; thermal_renderer.py
-        depth = composited(weights, samples.depths[..., None]).squeeze(1)
+            images[modality] = composited(shares, values.view(*weights.shape, -1))
+        depth = composited(shares, samples.depths[..., None]).squeeze(1)
         return Rendered(images, depth, weights, samples, proposed)
 
 
@@ -213,7 +212,7 @@ class ThermoNeRF(Method):
         if learns and shown.proposed:
             loss = loss + self.lambda_interlevel * proposal_loss(shown.samples, shown.weights, shown.proposed)
         image = shown.images["thermal"][:, None]  # a column of pixels
-        render = Render(image, None, shown.transmittance[:, None])
+        render = Render(image, None, torch.zeros_like(shown.depth)[:, None])
         return Step(loss, terms, render, batch.pixels["thermal"][:, None])
 
     @torch.no_grad()
@@ -225,10 +224,8 @@ class ThermoNeRF(Method):
             parts.append(self.field(piece, (modality,)))
         size = camera.height, camera.width
         image = torch.cat([part.images[modality] for part in parts]).clamp(0, 1).view(*size, -1)
-        depth, transmittance = (
-            torch.cat(columns).view(size) for columns in ([p.depth for p in parts], [p.transmittance for p in parts])
-        )
-        return Render(image, depth, transmittance)
+        depth = torch.cat([part.depth for part in parts]).view(size)
+        return Render(image, depth, torch.zeros_like(depth))
 
     def step_seconds(self) -> float:
         """Return the time of the field; that of the proposals comes on top."""

@@ -46,9 +46,8 @@ def test_it_learns_both_images_and_the_depth(small_gray_scene):
     assert np.abs(render.image.numpy() - view.thermal).mean() < 0.4 * np.abs(view.thermal - view.thermal.mean()).mean()
     assert method.render(frame, "rgb").image.shape == view.rgb.shape
     region = method.field.region
-    surface = render.alpha.numpy() > 0.5
-    depth = render.expected_depth[surface]
-    assert surface.mean() > 0.2 and depth.min() >= region.near and depth.max() <= region.far
+    depth = render.expected_depth
+    assert depth.min() >= region.near and depth.max() <= region.far * (1 + 1e-5) and depth.std() > 0.1 * region.near
 
 
 def test_equal_seeds_give_equal_bytes_and_others_do_not(small_gray_scene):
@@ -129,7 +128,7 @@ def test_positions_need_no_gradient_and_images_are_in_range(small_gray_scene):
     train(trainer)
     render = trainer.method.render(trainer.context.frame(small_gray_scene.test[0]))
     assert render.image.min() >= 0 and render.image.max() <= 1 and not render.image.requires_grad
-    assert torch.all((render.transmittance >= -1e-5) & (render.transmittance <= 1))
+    assert not render.transmittance.any()  # the last sample hides what is behind it
 
 
 def test_threads_change_no_byte(small_gray_scene):
