@@ -177,8 +177,9 @@ class CellRun(SetupObserver):
         whole = seconds * trainer.whole_context.budget.iterations
         if whole > SLOW and training_device(self.record.backend).type == "cpu":
             self.progress.say(
-                f"its networks alone will take at least {duration(whole)} on this CPU ({seconds:.2g} s a step, more as "
-                "Gaussians grow); budget.iterations=NUMBER is shorter, backend=cuda faster"
+                f"its networks alone will take at least {duration(whole)} on this CPU ({seconds:.2g} s a step"
+                f"{', more as Gaussians grow' * bool(trainer.gaussians)}); budget.iterations=NUMBER is shorter, "
+                "backend=cuda faster"
             )
 
     def write(self, trained: TrainedCell) -> None:

@@ -74,7 +74,8 @@ class CellProgress:
 
     def line(self, line: LogLine, last: LastIteration) -> None:
         """Show a line of the training log. last: as the trainer knows it by now."""
-        numbers = f"loss {line.loss:.4f}", f"PSNR {line.psnr:.1f} dB", f"{line.gaussians:,} Gaussians"
+        numbers = [f"loss {line.loss:.4f}", f"PSNR {line.psnr:.1f} dB"]
+        numbers += [f"{line.gaussians:,} Gaussians"] if line.gaussians else []
         at_most = "at most " * last.is_limit
         self._bar.update(
             self._task, completed=line.iteration, total=last.number, state="  ".join(numbers), at_most=at_most.strip()

@@ -27,7 +27,7 @@ from tdgbench.scoring import Scorer
 from tdgbench.text import shortened
 from tdgbench.training.budget import account
 from tdgbench.training.loop import TrainingLog
-from tdgbench.training.skips import Finished, Skips
+from tdgbench.training.skips import NO_GAUSSIANS, Finished, Skips
 from tdgbench.training.splat_model import SplatModel
 
 GRAY = "gray, in three equal channels"
@@ -56,6 +56,8 @@ def describe_training(record: Record, ready: Training, log: TrainingLog, skips: 
         lacking = ["train_hours"] if record.gaussians else ["train_hours", "gaussians"]
         record.missing = dict.fromkeys(lacking, record.made_elsewhere["summary"])
         return
+    if not record.gaussians:
+        record.missing["gaussians"] = NO_GAUSSIANS
     record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
     record.train_processor_seconds = round(log.processor_seconds, 3)
     work = [part.work for part in trainer.all_parts().values() if isinstance(part, SplatModel)]

@@ -21,12 +21,10 @@ from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.thermal import IDEAL, ImageResponse, ThermalCamera, Unknown, corrected, estimate_camera
 from tdgbench.thermal.maps import evaluate
 from tdgbench.training.context import Context
-from tdgbench.training.images import MODALITIES
 from tdgbench.training.method import Method
 from tdgbench.training.skips import Skips
 from tdgbench.training.trainer import Trainer
 from tdgbench.training.trial import try_rig
-from tdgbench.training.warmup import compile_kernels
 
 SPAN_SIZE = 64, 48  # px, of the vignette whose span is recorded
 DIGITS = 6
@@ -95,9 +93,7 @@ def set_up(
         observer.note("init_points", init.describe(ideal, cloud))
     if compiles and method.trains:
         with observer.phase("compile"):
-            channels = {MODALITIES[modality].channels(ideal) for modality in method.modalities}
-            masked = any(view.valid is not None for view in ideal.train)
-            compile_kernels(channels, budget, backend, depth=method.needs_prior, masked=masked)
+            method.compile_kernels(ideal, budget, backend)
     context.learns_rig = _learns_rig(options, method, context, observer)
     with observer.phase("init"):
         trainer = Trainer(method, context)

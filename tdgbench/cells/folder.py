@@ -211,6 +211,11 @@ class CellFolder:
         """Whether the method has parts beside its Gaussians that rendering needs."""
         return (self.folder / PARTS_FILE).exists()
 
+    @property
+    def has_model(self) -> bool:
+        """Whether something is stored that renders any view: Gaussians, or the parts of a method that trained them."""
+        return bool(self.record.gaussians) or (self.has_parts and self.record.made_elsewhere is None)
+
     def method(self) -> StoredMethod:
         """Return the method with its stored parts, which take as much memory as in training; they are not kept.
 
@@ -250,20 +255,20 @@ class CellFolder:
         )  # fmt: skip
 
     def rendered_again(self) -> dict[str, RenderedImages]:
-        """Return float renders of the stored model from all test views, with depth and determinacy.
+        """Return float renders of the stored model from all test views, with depth, and with determinacy of Gaussians.
 
         Raises ValueError if the cell has no model, or one that cannot be read.
         """
-        gaussians, response = self.model(THERMAL), response_of(self.record)
-        render_from = self.renderer(THERMAL, gaussians)
-        known = Determinacy.of_model(gaussians, self.cameras["train"].values())
+        gaussians = self.model(THERMAL) if self.record.gaussians else None
+        render_from, response = self.renderer(THERMAL, gaussians), response_of(self.record)
+        known = None if gaussians is None else Determinacy.of_model(gaussians, self.cameras["train"].values())
         found = {}
         for name, camera in self.test_cameras.items():
             render = render_from(name)
             image = render.image.numpy()
             found[name] = RenderedImages(
                 response.shown(image, name), render.expected_depth, without_response=response.temperatures(image),
-                determinacy=known.image(camera).numpy(),
+                determinacy=None if known is None else known.image(camera).numpy(),
             )  # fmt: skip
         return found
 

@@ -65,7 +65,7 @@ def blending_of(record: Record) -> Blending:
 
 def write_parts(trainer: Trainer, folder: Path) -> None:
     """Write the parts that rendering needs, unless all that is rendered are Gaussians."""
-    states = {name: part.state_dict() for name, part in trainer.all_parts().items() if part.needed_to_render}
+    states = {name: part.rendering_state() for name, part in trainer.all_parts().items() if part.needed_to_render}
     if trainer.method.renders_plain_gaussians and not states:
         return
     with whole_file(folder / PARTS_FILE) as path, path.open("wb") as file:  # of a path, torch would store the name
@@ -86,7 +86,7 @@ class StoredMethod:
             states: dict[str, Any] = load_tensors(folder / PARTS_FILE, inside=folder)
             for name, part in trainer.all_parts().items():
                 if part.needed_to_render:
-                    part.load_state_dict(states[name])
+                    part.load_rendering_state(states[name])
         except (Exception, SystemExit) as error:  # parts of a user's method may raise anything
             raise ValueError(f"{folder / PARTS_FILE} does not hold the parts of {record.method}: {error}") from error
         self._trainer = trainer
@@ -121,7 +121,7 @@ class MethodInTraining(StoredMethod):
                     part.optimizer.load_state_dict(saved["parts"][name]["optimizer"])
                     part.background = background_of(record, name)
                 elif part.needed_to_render:
-                    part.load_state_dict(saved["parts"][name])
+                    part.load_rendering_state(saved["parts"][name])
             self.iterations: int = saved["log"]["iterations"]
         except FileNotFoundError:
             raise

@@ -80,7 +80,7 @@ def scene_section(
 
 def _shown(cell: Cell, view: str, label: str, problems: list[str]) -> ShownCell | None:
     """Return what is drawn of a cell; None, and a problem, where its pictures are unusable."""
-    of_gaussians = cell.record.made_elsewhere is None or bool(cell.record.gaussians)
+    of_gaussians = bool(cell.record.gaussians)
 
     def tried(read: Callable[[], Any], wanted: bool = True) -> Any:
         try:
@@ -95,7 +95,7 @@ def _shown(cell: Cell, view: str, label: str, problems: list[str]) -> ShownCell 
     return ShownCell(
         cell, f"{label}, seed {cell.record.seed}", pictures,
         psnr=tried(lambda: cell.read_views().get(view, {}).get("psnr")),
-        depth=tried(lambda: rendered_depth(cell, view), of_gaussians),
+        depth=tried(lambda: rendered_depth(cell, view), cell.has_model),
         determinacy=tried(lambda: cell.determinacy(view), of_gaussians),
         errors=tried(lambda: error_counts(cell.pictures(name) for name in cell.views_with(RENDERS)),
                      cell.record.temperature_range is not None),

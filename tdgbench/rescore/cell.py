@@ -121,7 +121,7 @@ def _rows(cell: CellFolder, scorer: Scorer, earlier: EarlierScores, todo: list[M
 def _scores_by_model(cell: CellFolder, scene: Scene, scorer: Scorer, metrics: list[Metric]) -> dict[str, Scores]:
     """Return the scores of each test view that renders of the model give; None where it cannot be rendered."""
     why_not = NO_MODEL
-    if cell.record.gaussians:
+    if cell.has_model:
         try:
             return scorer.score(scene, cell.rendered_again(), metrics)
         except UnknownMethodError as error:

@@ -21,6 +21,17 @@ __all__ = ["RULES", "SKIP_RULES", "Budget", "GrowthRule", "HarmonicsRule", "Pixe
 
 
 @dataclass(frozen=True)
+class FieldSize:
+    """Size of a radiance field, and of a step of its training."""
+
+    rays: PositiveInt  # of a step
+    samples: Annotated[
+        list[PositiveInt], Field(min_length=1)
+    ]  # of a ray: for each proposal network, then for the field
+    log2_rows: Annotated[int, Field(ge=8, le=24)]  # of the largest table of a level
+
+
+@dataclass(frozen=True)
 class Budget:
     """Iterations, and the schedules and rules that depend on them."""
 
@@ -38,6 +49,7 @@ class Budget:
     pixels: PixelRule | None = None  # resolution of the images; None: full from the start
     settling: SettlingRule | None = None  # when to stop, by held-out views; None: by `plateau`
     plateau: PlateauRule | None = None  # when to stop, by the loss; None: never
+    field: FieldSize | None = None  # of methods that train a radiance field; None: in records from before there were
     expected_iterations: PositiveInt | None = None  # where trainings mostly end before the last one; None: they do not
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
@@ -19,6 +19,7 @@ from tdgbench.training.budget import Budget
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.images import MODALITIES, THERMAL
 from tdgbench.training.part import Network, Part, RandomStream, Rate
+from tdgbench.training.rays import RayBatches
 from tdgbench.training.rig import Rig
 from tdgbench.training.rule import BudgetFields, DecideGrowth, ModelInputs
 from tdgbench.training.skips import Skips
@@ -196,6 +197,18 @@ class Context:
         """Make a random order of the training views, for models of a modality (None: the stage's)."""
         curriculum = self.curriculum(modality or self.modality)
         return self.add_part(name, ViewOrder(self.scene.train, self._seed(), curriculum))
+
+    def rays(self, modalities: Sequence[str], name: str = "rays") -> RayBatches:
+        """Make random batches of rays through pixels of the training views, with their values in these modalities.
+
+        Raises ValueError where the thermal camera's rig is to be learnt, which takes the gradients of Gaussians.
+        """
+        if self.rig is not None:
+            raise ValueError(
+                "thermal_camera.rig learns with Gaussians; this method has none: use thermal_camera.rig=false"
+            )
+        curriculum = self.curriculum(self.modality)
+        return self.add_part(name, RayBatches(self.scene.train, self._seed(), curriculum, modalities, self.device))
 
     def network(self, name: str, module: torch.nn.Module, rate: Rate) -> Network:
         """Make a network with Adam at a learning rate, which may depend on the iteration (1-based).

@@ -13,8 +13,11 @@ from torch import Tensor
 
 from tdgbench.scenes import Scene
 from tdgbench.splats.view import Render
+from tdgbench.training.budget import Budget
 from tdgbench.training.context import Context, Frame
+from tdgbench.training.images import MODALITIES
 from tdgbench.training.splat_model import SplatModel
+from tdgbench.training.warmup import compile_kernels
 
 __all__ = ["Context", "Frame", "Method", "Share", "SmoothnessReading", "Stage", "Step"]
 
@@ -28,7 +31,7 @@ class Step:
 
     loss: Tensor  # scalar
     terms: Mapping[str, Tensor | float]  # scalars, for the log; the plateau rule watches `thermal`, else the loss
-    render: Render
+    render: Render  # of a view, or of R rays as an image (R, 1, C)
     target: Tensor  # (H, W, C): the image that `render` is compared with
     valid: Tensor | None = None  # (H, W) bool: the pixels that are compared; None: all
 
@@ -75,6 +78,12 @@ class Method:
     needs_prior: bool = False  # whether `context.priors` has a depth prior per training view, for a loss of depth
     trains: bool = True  # False: what it renders was made elsewhere; it is set up and makes no step
     notes: Sequence[str] = ()  # of `setup`, for the record and the terminal
+
+    def compile_kernels(self, scene: Scene, budget: Budget, backend: str) -> None:
+        """Compile what the steps call, before the clock of the training starts; by default the kernels of Gaussians."""
+        channels = {MODALITIES[modality].channels(scene) for modality in self.modalities}
+        masked = any(view.valid is not None for view in scene.train)
+        compile_kernels(channels, budget, backend, depth=self.needs_prior, masked=masked)
 
     def setup(self, context: Context) -> None:
         """Make the parts; called once, before the first step."""

@@ -19,7 +19,7 @@ class Part:
     All methods do nothing by default; a subclass overrides those that it needs.
     """
 
-    needed_to_render: bool = False  # whether rendering needs its state, which is then stored with the cell
+    needed_to_render: bool = False  # whether rendering needs `rendering_state`, which is then stored with the cell
     changing: tuple[str, ...] = ()  # attributes that are its state: numbers, texts, and lists of them
 
     def begin(self, iteration: int) -> None:
@@ -60,6 +60,14 @@ class Part:
         """Restore what `state_dict` returned."""
         for name in self.changing:
             setattr(self, name, copy(saved[name]))
+
+    def rendering_state(self) -> State:
+        """Return what rendering needs of `state_dict`, for the cell's folder."""
+        return self.state_dict()
+
+    def load_rendering_state(self, saved: State) -> None:
+        """Restore what `rendering_state` or `state_dict` returned, as far as rendering needs it."""
+        self.load_state_dict(saved)
 
     def report(self) -> Report:
         """Return facts for the record that JSON can represent."""
@@ -119,7 +127,7 @@ class Network(Part):
 
     def step(self, iteration: int) -> str | None:
         for name, parameter in self.module.named_parameters():
-            if parameter.grad is not None and not torch.isfinite(parameter.grad).all():
+            if parameter.grad is not None and not _is_finite(parameter.grad):
                 return name
         self.optimizer.step()
         return None
@@ -128,7 +136,7 @@ class Network(Part):
         self._slowdown = factor
 
     def not_finite(self) -> str | None:
-        return next((name for name, tensor in self.module.state_dict().items() if not tensor.isfinite().all()), None)
+        return next((name for name, tensor in self.module.state_dict().items() if not _is_finite(tensor)), None)
 
     def state_dict(self) -> State:
         module, optimizer = dict(self.module.state_dict()), self.optimizer.state_dict()
@@ -139,8 +147,19 @@ class Network(Part):
         self.optimizer.load_state_dict(saved["optimizer"])
         self._slowdown = saved["slowdown"]
 
+    def rendering_state(self) -> State:
+        return {"module": dict(self.module.state_dict())}
+
+    def load_rendering_state(self, saved: State) -> None:
+        self.module.load_state_dict(saved["module"])
+
     def report(self) -> Report:
         return {"parameters": sum(parameter.numel() for parameter in self.module.parameters())}
+
+
+def _is_finite(tensor: torch.Tensor) -> bool:
+    """Return whether all values are finite: one pass without temporary tensors, which large tables would feel."""
+    return not tensor.numel() or bool(torch.isfinite(torch.stack(torch.aminmax(tensor))).all())
 
 
 class TrainingError(Exception):

@@ -80,6 +80,9 @@ def no_such_skip(names: Iterable[str], known: Sequence[str] = SWITCHES) -> str:
     return f"there is no skip {', '.join(unknown)}; there are {', '.join(known)}" if unknown else ""
 
 
+NO_GAUSSIANS = "the method has no Gaussians"
+
+
 @dataclass
 class Work:
     """Sums over all backward passes and rounds of density control so far."""
@@ -144,6 +147,10 @@ def account_switches(skips: Skips, training: Finished) -> None:
         without = max(0, trained - skips.depth_until)
         needed = f"training ended after {trained} iterations, all of which need depth"
         skips.depth.decide(without > 0, skips.depth.reason if without else needed, _without_depth(without, trained))
+    if not training.work:
+        skips.unseen.decide(False, NO_GAUSSIANS)
+        skips.saturated.decide(False, NO_GAUSSIANS)
+        return
     rows, touched = summed(training.work, "rows"), summed(training.work, "touched")
     shown = touched / max(rows, 1)
     reason = f"a view shows {in_percent(shown)} of the Gaussians on average"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from tdgbench.fields import DensityField, FieldAdam, GridOptions
 from tdgbench.scenes import Camera
 from tdgbench.splats.backends import choose_backend, load_backend
 from tdgbench.splats.initialize import gaussians_from_points
@@ -28,6 +29,17 @@ def compile_kernels(
     chosen = load_backend(choose_backend(backend, training_device(backend), torch.float32))
     with chosen.compiling(channels, depth):
         _take_steps(channels, budget, backend, depth, masked)
+
+
+def compile_field_kernels(backend: str) -> None:
+    """Compile the kernels of radiance fields, by a step of a small one."""
+    field = DensityField(GridOptions(2, 4, 8, 8, 8, 1.0), 1, torch.Generator().manual_seed(0)).to(
+        training_device(backend)
+    )
+    optimizer = FieldAdam(field.parameters(), 0.01)
+    densities, features = field(torch.rand(8, 3, device=training_device(backend)))
+    (densities.sum() + features.sum()).backward()
+    optimizer.step()
 
 
 def _take_steps(channels: set[int], budget: Budget, backend: str, depth: bool, masked: bool) -> None:

@@ -80,7 +80,8 @@ def log_problems(record: Record, log: list[dict[str, float]]) -> Iterator[str]:
 def model_problems(cell: CellFolder) -> Iterator[str]:
     """Check models against the recorded number of Gaussians."""
     record = cell.record
-    needed = {THERMAL: None} if record.made_elsewhere is None else {}
+    has_none = record.made_elsewhere is not None or (cell.has_parts and not record.gaussians)
+    needed = {} if has_none else {THERMAL: None}
     expected = {files_of(name).model: count for name, count in {**needed, **record.gaussians}.items()}
     for name in sorted({*expected, *cell.model_files()}):
         count = expected.get(name)

@@ -107,12 +107,13 @@ def open_cell(folder: Path) -> ViewedCell:
         method, state = _method_of(cell)
     except (ValueError, OSError) as error:
         raise ValueError(f"{folder} cannot be shown: {error}") from error
-    if THERMAL not in models and method is not None:
+    if THERMAL not in models and method is not None and not cell.has_model:
         raise ValueError(
             f"{folder} cannot be shown: it lacks Gaussians: its renders are images, which the report shows"
         )
-    if THERMAL not in models or not cameras["test"]:
-        lacking = "a test view" if THERMAL in models else files_of(THERMAL).model
+    renders = THERMAL in models or method is not None
+    if not renders or not cameras["test"]:
+        lacking = "a test view" if renders else files_of(THERMAL).model
         raise ValueError(f"{folder} cannot be shown: it lacks {lacking}")
     return ViewedCell(cell, models, cameras["train"], cameras["test"], method, state)
 
@@ -139,6 +140,10 @@ def _method_of(cell: CellFolder) -> tuple[StoredMethod | None, str]:
         return cell.method(), ""
     except UnknownMethodError as error:
         return None, f"its Gaussians alone, not what its method renders: {error}"
+
+
+def _counted(gaussians: int) -> str:
+    return f", {gaussians:,} Gaussians" if gaussians else ""
 
 
 def short_names(records: Sequence[Record]) -> list[str]:
@@ -199,10 +204,10 @@ class Follower:
             cell = CellFolder(folder, record)
             cameras = cell.cameras
             method = MethodInTraining(paths[folder], record, cameras)
-            if THERMAL not in method.models:
+            if method.models and THERMAL not in method.models:
                 raise ValueError(f"{record.title}: iteration {method.iterations:,}, no thermal Gaussians yet")
             count, at = sum(map(len, method.models.values())), time.localtime(written[folder] / 1e9)
-            state = f"iteration {method.iterations:,}, {count:,} Gaussians at {time.strftime('%H:%M:%S', at)}"
+            state = f"iteration {method.iterations:,}{_counted(count)} at {time.strftime('%H:%M:%S', at)}"
             self._cell = ViewedCell(cell, method.models, cameras["train"], cameras["test"], method, state)
             self._seen = folder, written[folder]
         return self._words()
@@ -223,7 +228,7 @@ class Follower:
         elif record.failure is not None:
             state = record.why_failed
         else:
-            state = f"finished after {record.iterations:,} iterations, {sum(record.gaussians.values()):,} Gaussians"
+            state = f"finished after {record.iterations:,} iterations{_counted(sum(record.gaussians.values()))}"
             cell = cell if self._seen == (folder,) else open_cell(folder)
         state, self._seen = "; ".join(filter(None, [state, waiting])), (folder,)
         if cell is not None and cell.state != state:

@@ -143,7 +143,8 @@ class Panel:
             self._quantity = gui.add_dropdown("Show", list(self._quantities))
             self._colors = gui.add_dropdown("Colours", COLOR_MAPS)
             self._span = gui.add_multi_slider("Range, %", 0, 100, 1, (0, 100), min_range=1)
-            self._guesses = gui.add_checkbox("Guesses in blue", False)
+            of_gaussians = any(cell.models for cell in self.cells.values())
+            self._guesses = gui.add_checkbox("Guesses in blue", False, visible=of_gaussians)
             self._bar = gui.add_html("")
         choices = (self._cell, self._beside, self._divide, self._quantity, self._colors, self._span, self._guesses)
         for control in choices:

@@ -130,7 +130,8 @@ class Renderer:
         """Return the values at the ends of a quantity's whole range; None if its pictures are colours already."""
         if quantity == "depth":
             return self.depth_range()
-        is_gray = self.cells[name].models[THERMAL].channels == 1
+        cell = self.cells[name]
+        is_gray = cell.models.get(THERMAL, cell.record).channels == 1
         return (0.0, 1.0) if quantity == "alpha" or (quantity == THERMAL and is_gray) else None
 
     def depth_range(self) -> tuple[float, float]:
@@ -181,7 +182,9 @@ class Renderer:
         else:
             low, high = (whole[0] + share * (whole[1] - whole[0]) for share in look.span)
             picture = colored(values[..., 0], look.colors, low, high)
-        return CellRender(values, shaded(picture, self.determinacy(name, camera)) if look.guesses else picture, name)
+        if look.guesses and THERMAL in self.cells[name].models:  # what is a guess is known of Gaussians
+            picture = shaded(picture, self.determinacy(name, camera))
+        return CellRender(values, picture, name)
 
     def _model(self, name: str, modality: str) -> GaussianTensors:
         """Return the activated Gaussians of a model, kept for the next frames."""

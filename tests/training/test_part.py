@@ -79,3 +79,25 @@ def test_a_network_slows_down_and_keeps_the_last_factor():
     for network in networks:
         take_steps(network, 1, 3)
     assert bytes_of(networks[0]) == bytes_of(networks[1])
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
+def test_a_gradient_or_a_parameter_that_is_not_finite_is_named(bad):
+    network = Network(mlp(), 1e-2)
+    take_steps(network, 1, 1)
+    assert network.not_finite() is None
+    weight = network.module[2].weight
+    weight.grad[0, 5] = bad
+    assert network.step(2) == "2.weight" and network.not_finite() is None
+    weight.data[0, 5] = bad
+    assert network.not_finite() == "2.weight"
+
+
+def test_what_is_stored_for_rendering_lacks_the_optimiser():
+    network, again = Network(mlp(), 1e-2), Network(mlp(), 1e-2)
+    take_steps(network, 1, 5)
+    state = network.rendering_state()
+    assert state.keys() == {"module"}
+    for saved in (state, network.state_dict()):
+        again.load_rendering_state(stored(saved))
+        assert bytes_of(again) == bytes_of(network) and not again.optimizer.state_dict()["state"]

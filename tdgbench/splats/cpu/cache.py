@@ -1,7 +1,7 @@
 """Machine-code cache: compiled kernels on disk, one folder per state of the sources and register width.
 
 Numba checks only the file that defines a kernel, but a kernel bakes in helpers and constants of other files. Its
-folder name therefore holds a fingerprint of the whole package `tdgbench.splats`, the only one that kernels import from.
+folder name therefore holds a fingerprint of `tdgbench.splats` and `tdgbench.fields`, the packages that have kernels.
 
 A cache that cannot be read or written never ends a run: kernels are then compiled again.
 """
@@ -27,7 +27,7 @@ from filelock import FileLock, Timeout
 from numba.core.caching import FunctionCache
 
 LOG = logging.getLogger(__name__)
-PACKAGE = Path(__file__).resolve().parents[1]
+PACKAGES = [Path(__file__).resolve().parents[2] / name for name in ("splats", "fields")]
 WAIT_SECONDS = 120.0  # for another process that compiles a kernel; after them, both compile it
 UNUSED_DAYS = 30  # after which the cache of another state of the sources is removed
 _FOLDER = re.compile(r"[0-9a-f]{16}-\d+")
@@ -36,7 +36,7 @@ _DAY = 86_400.0  # seconds
 
 def fingerprinted_files() -> list[Path]:
     """Return the source files that machine code may depend on."""
-    return sorted(PACKAGE.rglob("*.py"))
+    return sorted(path for package in PACKAGES for path in package.rglob("*.py"))
 
 
 def _fingerprint() -> str:

@@ -28,9 +28,12 @@ def _numba_says_what_it_does(monkeypatch):
 
 def test_the_fingerprint_covers_everything_that_kernels_import():
     graph = grimp.build_graph("tdgbench", cache_dir=None)
-    imported = graph.find_upstream_modules("tdgbench.splats.cpu", as_package=True)
-    assert {name for name in imported if not f"{name}.".startswith("tdgbench.splats.")} <= {"tdgbench"}
-    assert {*(ROOT / "tdgbench" / "splats").rglob("*.py")} == {*cache.fingerprinted_files()}
+    packages = ("splats", "fields")
+    for kernels in ("tdgbench.splats.cpu", "tdgbench.fields"):
+        imported = graph.find_upstream_modules(kernels, as_package=True)
+        assert {name for name in imported if name.split(".")[1:2] != ["splats"]} <= {"tdgbench"}
+    files = [path for package in packages for path in (ROOT / "tdgbench" / package).rglob("*.py")]
+    assert {*files} == {*cache.fingerprinted_files()}
 
 
 def test_the_folder_follows_the_sources_and_the_lanes(monkeypatch, tmp_path):

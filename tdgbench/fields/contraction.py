@@ -1,0 +1,49 @@
+"""Which part of the world a field represents, and where rays are sampled: from the scene's cameras and points."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from torch import Tensor
+
+INNER_SHARE = 0.8  # of the points lie in the unit ball, which is not contracted
+NEAREST, FARTHEST = 5.0, 99.0  # percentiles of the points' depths over all training views
+MARGIN = 0.7, 1.3  # factors of these depths: surfaces between the sparse points may lie beyond them
+_BOX = 1 - 1e-6  # contracted positions reach the sides of the box at infinity alone
+
+
+class Region(NamedTuple):
+    """A ball of the world, and the depths between which rays are sampled."""
+
+    center: tuple[float, float, float]  # world
+    radius: float  # world units
+    near: float  # z, world units
+    far: float
+
+    def contracted(self, positions: Tensor) -> Tensor:
+        """Return world positions (..., 3) in [0, 1]³: the ball is in the middle, half as wide as the box.
+
+        Mip-NeRF 360 (Barron et al. 2022, eq. 10): x in the unit ball, else (2 − 1/‖x‖) x/‖x‖.
+        """
+        x = (positions - positions.new_tensor(self.center)) / self.radius
+        length = x.norm(dim=-1, keepdim=True).clamp_min(1.0)
+        return (0.5 + (2 * length - 1) / length.square() * x / 4).clamp(0, _BOX)
+
+
+def region_of(points: np.ndarray, world_to_camera: np.ndarray) -> Region:
+    """Return the region of a scene with points (N, 3), world, and training cameras (V, 4, 4).
+
+    The centre is the points' median, INNER_SHARE of them lie in the ball. Near and far are percentiles of the depths of
+    points in front of a camera, with MARGIN: a nearest point would be an outlier, and samples in free space before
+    a camera become clouds that only this camera sees. Raises ValueError if no point is in front of a camera.
+    """
+    center = np.median(points, axis=0)
+    radius = float(np.quantile(np.linalg.norm(points - center, axis=1), INNER_SHARE))
+    depths = points @ world_to_camera[:, 2, :3].T + world_to_camera[:, 2, 3]  # (N, V)
+    depths = depths[depths > 0]
+    if not len(depths) or radius <= 0:
+        raise ValueError("no ray can be sampled: no point of the scene lies in front of a training camera")
+    near, far = np.percentile(depths, [NEAREST, FARTHEST]) * MARGIN
+    x, y, z = (float(value) for value in center)
+    return Region((x, y, z), radius, float(near), float(far))
