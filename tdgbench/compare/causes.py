@@ -125,7 +125,9 @@ def settings(record: Record) -> dict[tuple[str, str], str]:
     for kind, fields in ((PROTOCOL, OF_PROTOCOL), (TRAINING, OF_TRAINING)):
         whole[kind] |= {name: getattr(record, name) for name in fields}
     for group, options in record.config.items():
-        whole[PROTOCOL if group in PROTOCOL_OPTIONS else TRAINING][group] = options
+        of_kind = whole[PROTOCOL if group in PROTOCOL_OPTIONS else TRAINING]
+        both = isinstance(options, dict) and isinstance(of_kind.get(group), dict)
+        of_kind[group] = {**of_kind[group], **options} if both else options  # a record's `prior` is a group, too
     named = [(kind, name, value) for kind, of_kind in whole.items() for name, value in flat(of_kind).items()
              if name != NAME]  # fmt: skip
     return {(VERSION if name in OF_VERSION else kind, name): as_typed(value) for kind, name, value in named}

@@ -47,7 +47,7 @@ from tdgbench.tables.columns import own_columns
 from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
 from tdgbench.tables.findings import BEFORE_A_PLATEAU, ended_by_its_budget
-from tdgbench.tables.grids import SCENE_KEYS, reasons_for_na
+from tdgbench.tables.grids import SCENE_KEYS, TIMES, reasons_for_na
 from tdgbench.tables.likeness import machine_in_words, setups
 from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import AVERAGE, HOURS, as_text, measure_of
@@ -212,13 +212,21 @@ def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
             "plots": plots([row for row in group if row.scenes == widest] if averages else group),
             "own": sorted({key for row in group for key in row.own}),
             "unlike": _scenes_by_reason(group), "means_unlike": any(row.is_average and row.is_unlike for row in group),
-            "palette": palette_in_words(group), "caveats": _caveats(group), "reasons": _reasons(group, shown),
+            "palette": palette_in_words(group), "notes": _notes_of(group),
+            "caveats": _caveats(group), "reasons": _reasons(group, shown),
         })  # fmt: skip
     for board in boards:
         others = [one["settings"] for one in boards if one["dataset"] == board["dataset"]]
         board["apart"] = [f"{name}: {_short(value)}" for name, value in board["settings"].items()
                           if any(other.get(name) != value for other in others)]  # fmt: skip
     return boards
+
+
+def _notes_of(rows: Sequence[BoardRow]) -> list[str]:
+    """Return what the times of a leaderboard include, and the network of its LPIPS."""
+    nets = dict.fromkeys(str(one.setting("metrics.lpips.net")) for row in rows for one in row.records
+                         if one.scores.get("lpips") is not None)  # fmt: skip
+    return [TIMES, *([f"LPIPS network: {', '.join(nets)}"] if nets else [])]
 
 
 def _short(text: str) -> str:

@@ -26,9 +26,16 @@ from tdgbench.tables.equal_data import equal_scenes
 from tdgbench.tables.findings import findings_of_ablation, findings_of_methods
 from tdgbench.tables.grids import ABLATION_KEYS, ablation_grid, main_grid
 from tdgbench.tables.latex import ablation_table, main_table
-from tdgbench.tables.likeness import Trainings, is_selected, selected_notes, times_at_once
+from tdgbench.tables.likeness import (
+    Trainings,
+    disturbed_notes,
+    is_selected,
+    selected_notes,
+    times_at_once,
+    was_disturbed,
+)
 from tdgbench.tables.long_table import cell_rows, is_random, method_label, scene_rows, with_averages, with_protocols
-from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, KEYS, OVERALL, further
+from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, HOURS, KEYS, OVERALL, further
 from tdgbench.tables.overrides import override_notes
 from tdgbench.tables.palette import IMAGES, with_image_values
 from tdgbench.tables.published import published_ablation, published_main
@@ -136,6 +143,8 @@ def _main(results: Results, options: TableOptions) -> Tables:
     finished = [cell.record for cell in results.finished]
     equal = equal_scenes(finished)
     main = with_bold(with_image_values(main, records, COLUMN_OF), by_seed, ["dataset", "scene"])[CSV_COLUMNS]
+    if any(map(was_disturbed, finished)):
+        main.loc[main["metric"] == HOURS.name, "bold"] = False
     comparisons = compare_methods(cells, main, results.finished, equal)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     difference = against_published(main, published_main(), KEYS, records, COLUMN_OF) if of_paper else None
@@ -148,7 +157,8 @@ def _main(results: Results, options: TableOptions) -> Tables:
         findings=findings_of_methods(main, difference, comparisons, changes, equal, finished), comparisons=comparisons,
         readings=by_length, effects=changes, columns=options.columns,
         notes=[
-            *notes, *override_notes(finished, COLUMN_OF), *selected_notes(finished, COLUMN_OF), *times_at_once(finished)
+            *notes, *override_notes(finished, COLUMN_OF), *selected_notes(finished, COLUMN_OF),
+            *times_at_once(finished), *disturbed_notes(finished),
         ],
     )  # fmt: skip
 

@@ -16,6 +16,7 @@ import pandas as pd
 from tdgbench.scenes.inputs import ROWS_OF_AVERAGES
 from tdgbench.tables import methods
 from tdgbench.tables.equal_data import Place
+from tdgbench.tables.likeness import was_disturbed
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import HOURS, KEYS, MAIN_COLUMNS, gain, half_unit, is_of_training, measure_of
 from tdgbench.tables.methods import MethodPair
@@ -27,6 +28,7 @@ from tdgbench.tables.verdicts import BETTER, NEVER, UNDECIDED, WORSE, load_margi
 EQUAL = "equal"  # beside the verdicts on published numbers
 COUNTED = (BETTER, WORSE, EQUAL, UNDECIDED)
 FEWEST_SEEDS = 3  # of bold type; of two, an interval is 13 standard errors wide on each side
+BUSY_MACHINE = "busy"  # beside the hardware of a cell that other work disturbed
 FEWEST_SCENES = 5  # of a test over scenes: with fewer, no outcome could be below 5 %
 
 
@@ -194,7 +196,7 @@ def _why_none(
     if (dataset, scene) in unlike:
         return "unlike trainings"
     if metric == HOURS.name and any(found[:2] == (dataset, scene) for found in unlike):
-        return "times of two machines"
+        return "times of two machines, or of a busy one"
     return "no seed in common"
 
 
@@ -209,7 +211,7 @@ def _why_no_average(changes: pd.DataFrame, metric: str) -> str:
 
 
 def _unlike(pair: MethodPair, main: pd.DataFrame, finished: Sequence[Cell]) -> set[tuple[object, ...]]:
-    """Return (data set, scene) of unlike trainings, and (data set, scene, seed) whose times are of two machines."""
+    """Return (data set, scene) of unlike trainings, and (data set, scene, seed) of times that do not compare."""
     unlike: set[tuple[object, ...]] = set()
     if "training" in main:
         scores = main[main["method"].isin(pair) & (main["metric"] == MAIN_COLUMNS[0])]
@@ -218,7 +220,8 @@ def _unlike(pair: MethodPair, main: pd.DataFrame, finished: Sequence[Cell]) -> s
     machines: dict[tuple[object, ...], set[tuple[str, ...]]] = {}
     for cell in finished:
         if method_label(cell.record, with_init=True) in pair:
-            machines.setdefault((*cell.dataset_and_scene, cell.record.seed), set()).add(cell.machine)
+            found = machines.setdefault((*cell.dataset_and_scene, cell.record.seed), set())
+            found |= {cell.machine, (BUSY_MACHINE,)} if was_disturbed(cell.record) else {cell.machine}
     return unlike | {place for place, found in machines.items() if len(found) > 1}
 
 

@@ -5,6 +5,7 @@ They count what the tables hold. Nothing is computed or judged here.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -50,7 +51,9 @@ from tdgbench.text import named, one_line
 
 TOLD = (*MAIN_COLUMNS, ERROR)  # measures
 SEEDS = "seed=0,1,2"  # what one seed's verdicts need first
-BEFORE_A_PLATEAU = "All trainings stopped at their last iteration, before a plateau of the loss; longer ones may differ"
+BEFORE_A_PLATEAU = (
+    "All trainings ended by their number of iterations, not at a plateau of the loss; longer ones may differ"
+)
 
 
 def findings_of_methods(
@@ -176,11 +179,11 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
     notes = [f"n/a on {without} more"] if without else []
     timed = both.loc[(both["metric"] == HOURS.name) & both["value"].notna(), "method"].nunique() == len(pair)
     is_timed = HOURS.name in set(scenes["metric"])
-    times = _times(pair, records) if is_timed else ["times are of unlike machines or threads"] * timed
+    times = _times(pair, records) if is_timed else ["times are of unlike machines, or of a busy one"] * timed
     if several and scenes["seeds"].max() > 1:
         has_p = paired.loc[paired["metric"].isin(TOLD), "p"].notna().any()
         tests = ["p: Wilcoxon's signed-rank test over scenes, one-sided: the method is better"] if has_p else []
-        yield "; ".join([f"{title} on {len(compared)} scenes: {_counts(paired)}", *tests, *times, *notes])
+        yield "; ".join([f"{title} on {len(compared)} scenes: {_counts(paired, scenes)}", *tests, *times, *notes])
         notes = []
     place = widest_average(rows) if several else scenes
     if several and not _is_average(place).all():  # some scene lacks results, so there is no average
@@ -223,13 +226,24 @@ def given_priors(records: Iterable[Record]) -> list[str]:
     return [f"The depth prior of {named(them)} is made from {source}" for source, them in found.items() if source]
 
 
-def _counts(paired: pd.DataFrame) -> str:
-    """Return on how many scenes a method is better, worse, equal, undecided, by metric, with p."""
+def _counts(paired: pd.DataFrame, scenes: pd.DataFrame) -> str:
+    """Return on how many scenes a method is better, worse, equal, undecided, by metric, with p. scenes: changes."""
     parts = []
     for row in paired[paired["metric"].isin(TOLD)].itertuples():
-        words = [f"{word} on {n}" for word in COUNTED if (n := getattr(row, word))]
+        found = Counter(map(_verdict_word, scenes[scenes["metric"] == row.metric].itertuples()))
+        words = [f"{word} on {found[word]}" for word in sorted(found, key=lambda one: COUNTED.index(one.split(",")[0]))]
         parts += [f"{measure_of(row.metric).label} {', '.join(words)}{_p(row.p)}"] if words else []
     return "; ".join(parts)
+
+
+def _verdict_word(row: Any) -> str:
+    """Return a change's verdict; of one that may lie within the margin, that its size is open."""
+    return f"{row.verdict}, by how much is open," if _may_be_within_margin(row) else str(row.verdict)
+
+
+def _may_be_within_margin(row: Any) -> bool:
+    is_sure = row.verdict not in (EQUAL, UNDECIDED)
+    return is_sure and min(abs(row.ci95_low), abs(row.ci95_high)) < margin_of(row.metric)
 
 
 def _change(row: Any) -> str:
@@ -243,7 +257,7 @@ def _change(row: Any) -> str:
     verdict, margin, stated = row.verdict, margin_of(row.metric), f"{margin_of(row.metric):g}{measure.suffix}"
     if verdict == EQUAL:
         verdict += f" within {stated}" * (margin > 0)
-    elif verdict != UNDECIDED and min(abs(row.ci95_low), abs(row.ci95_high)) < margin:
+    elif _may_be_within_margin(row):
         verdict = f"{'higher' if row.change > 0 else 'lower'}, whether by more than {stated} is undecided"
     return f"{text}{with_interval(change, row.ci95_low, row.ci95_high, form)}: {verdict}"
 

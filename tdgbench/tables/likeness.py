@@ -37,6 +37,7 @@ OWN = {  # options of budgets that a method's file states, by which key; their v
     "budget.density.gradient": ("gradient", "signed"),
     "budget.density.grad_threshold": ("grad_threshold", 2.0e-4),
 }
+BUSY = 1.25  # wall time of a training, in its processor time, above which other work ran
 IGNORED = ("_target_", "seed", "convention")  # last part of an option's name
 # of what other programs made: where it lies
 PLACES = ("method.folder", "method.ply", "method.method.folder", "method.method.ply")
@@ -185,6 +186,26 @@ def times_at_once(records: Iterable[Record]) -> list[str]:
     if not numbers or numbers[-1] < 2:
         return []
     return [f"times are of {' or '.join(map(str, numbers))} cells at once, which may slow each other down"]
+
+
+def was_disturbed(record: Record) -> bool:
+    """Return whether other work took processor time from a training on the CPU, so that its time says little."""
+    used, wall = record.train_processor_seconds, record.seconds.get("train", 0.0)
+    return record.backend in ON_CPU and used is not None and wall > BUSY * used
+
+
+def disturbed_notes(records: Iterable[Record]) -> list[str]:
+    """Return the note on trainings beside other work, in a list; empty without any."""
+    records = list(records)
+    busy = [
+        record.seconds["train"] / (record.train_processor_seconds or 1e-9)
+        for record in records
+        if was_disturbed(record)
+    ]
+    if not busy:
+        return []
+    ratio = f"wall time up to {max(busy):.1f} times the processor time"
+    return [f"times of {len(busy)} of {len(records)} cells are of a busy machine ({ratio}): they are not compared"]
 
 
 def is_selected(record: Record) -> bool:

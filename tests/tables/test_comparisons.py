@@ -130,3 +130,17 @@ def test_unlike_trainings_and_machines_are_not_compared(tmp_path):
     assert findings_of_methods(main, None, comparisons, None, {})[0] == (
         "TDg against MSMG: not compared: trainings differ (msmg / tdg)"
     )
+
+
+def test_times_of_a_busy_machine_are_not_compared(tmp_path):
+    """The training waited for other work: its wall time exceeds the processor time of its one thread."""
+    for method in ("tdg", "msmg"):
+        for seed in (0, 1, 2):
+            wait = 4.0 if (method, seed) == ("msmg", 1) else 1.0
+            write(tmp_path, method, "attic", "folder", seed=seed, backend="cpu", train_processor_seconds=360.0 / wait)
+    tables = build_tables(tmp_path)
+    changes = tables.comparisons[0].changes.set_index(["scene", "metric"])
+    assert changes.loc[("attic", "train_hours"), "seeds"] == 2 and changes.loc[("attic", "psnr"), "seeds"] == 3
+    assert not tables.main.query("metric == 'train_hours'")["bold"].any()
+    busy = "times of 1 of 6 cells are of a busy machine (wall time up to 4.0 times the processor time)"
+    assert any(note.startswith(busy) for note in tables.notes)

@@ -78,7 +78,9 @@ def test_they_say_no_more_than_the_interval(tmp_path, psnr, said):
     found = build_tables(tmp_path).findings
     prior = "a depth prior made from files of unknown origin"
     assert found[0].startswith(f"TDg with {prior} against MSMG on attic: PSNR ") and said in found[0]
-    assert found[1].startswith("All trainings stopped at their last iteration, before a plateau") and len(found) == 3
+    assert (
+        found[1].startswith("All trainings ended by their number of iterations, not at a plateau") and len(found) == 3
+    )
 
 
 def test_scores_that_test_views_chose_are_told_wherever_they_stand(tmp_path, capsys):

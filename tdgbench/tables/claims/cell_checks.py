@@ -191,10 +191,11 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[CellP
     several = f" on {machines} machines or numbers of threads" if machines > 1 else ""
     grounds = f"{quantity.label}, {names} at {lengths}: {value}, {counts_in_words(gain)}{several}"
     least = quantity.least_gain(margin)
-    verdict = judge_gain(gain, least)
+    verdict, by = judge_gain(gain, least), f"{100 * margin:g} %" if quantity.ratio else f"{margin:g}{quantity.unit}"
     if verdict == UNDECIDED and 0 < gain.low <= least:
-        by = f"{100 * margin:g} %" if quantity.ratio else f"{margin:g}{quantity.unit}"
         grounds += f": better, undecided whether by the {by} that the claim needs"
+    elif margin:
+        grounds += f"; tested: better by more than {by}"
     return [Finding(verdict, grounds)]
 
 
