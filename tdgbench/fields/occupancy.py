@@ -1,4 +1,4 @@
-"""Occupancy grid: where a field has density, so that rays are sampled there alone (Müller et al. 2022, appendix E.2)."""
+"""Occupancy grid: where a field has density, so that rays are sampled there (Müller et al. 2022, appendix E.2)."""
 
 from __future__ import annotations
 
@@ -45,9 +45,11 @@ class OccupancyGrid(nn.Module):
         if everywhere:
             drawn = torch.arange(count)
         else:
+            drawn = torch.randint(count, (count // 4,), generator=generator)
             dense = self.densities.cpu().nonzero().squeeze(1)
-            dense = dense[torch.randint(max(len(dense), 1), (count // 4,), generator=generator)] if len(dense) else dense
-            drawn = torch.cat([torch.randint(count, (count // 4,), generator=generator), dense])
+            if len(dense):
+                again = dense[torch.randint(len(dense), (count // 4,), generator=generator)]
+                drawn = torch.cat([drawn, again])
         corner = torch.stack([drawn % self.cells, drawn // self.cells % self.cells, drawn // self.cells**2], dim=1)
         positions = (corner + torch.rand(len(drawn), 3, generator=generator)) / self.cells
         found = density_of(positions.to(device))
