@@ -37,7 +37,9 @@ OFTEN = (
 UNTRAINED = {"renders", "model"}  # of files made elsewhere; their tests run and verify cells
 PART_OF_ANOTHER = {"thermal3dgs_no_conduction"}  # a slow training without one of the other's parts
 SHIPPED = sorted({path.stem for path in (ROOT / "conf/method").glob("*.yaml")} - UNTRAINED - PART_OF_ANOTHER)
-FIELDS = {"thermonerf", "thermonerf_thermal"}  # without Gaussians
+FIELDS = {
+    "thermonerf", "thermonerf_thermal", "oezer_scratch", "oezer_second_branch", "oezer_separate", "oezer_finetune",
+}  # without Gaussians  # fmt: skip
 WORKED = ["gradient", "cooling", "one_geometry", "fine_tuned", "rig"]  # examples of docs/extending
 OPTIONS = [
     "3dgs thermal_camera.rig=true",
