@@ -6,6 +6,7 @@ The thermal head has no direction and no appearance.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -29,10 +30,12 @@ from tdgbench.fields import (
 )
 from tdgbench.fields.proposals import Proposed, Samples
 from tdgbench.fields.volume import composited
+from tdgbench.scenes import View
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.method import Share, Step
 from tdgbench.training.part import Network
+from tdgbench.training.rays import RayBatch
 
 
 @dataclass
@@ -158,7 +161,7 @@ class ThermoNeRF(FieldMethod):
         rate = falling(self.rates, max(1, round(self.rate_end * self.iterations)))
         self.field = module
         context.add_part("field", Network(module, rate, FieldAdam))
-        self.batches = context.rays(self.modalities)
+        self.batches = context.rays(self.modalities, maps=self.maps(context))
         self.jitter = context.random("jitter")
 
     def step(self, iteration: int) -> Step:
@@ -174,9 +177,20 @@ class ThermoNeRF(FieldMethod):
             loss = loss + self.lambda_distortion * terms["distortion"]
         if learns and shown.proposed:
             loss = loss + self.lambda_interlevel * proposal_loss(shown.samples, shown.weights, shown.proposed)
+        for name, term in self.further_losses(batch, shown).items():
+            terms[name] = term
+            loss = loss + term
         image = shown.images["thermal"][:, None]  # a column of pixels
         render = Render(image, None, shown.transmittance[:, None])
         return Step(loss, terms, render, batch.pixels["thermal"][:, None])
+
+    def maps(self, context: Context) -> dict[str, Callable[[View], Tensor]]:
+        """Return what batches bring of pixels beside their modalities; nothing by default."""
+        return {}
+
+    def further_losses(self, batch: RayBatch, shown: Sampled) -> dict[str, Tensor]:
+        """Return weighted terms that a subclass adds to the loss."""
+        return {}
 
     def rendered(self, rays: Rays, modality: str) -> Rendered:
         shown: Rendered = self.field(rays, (modality,))

@@ -39,6 +39,7 @@ PART_OF_ANOTHER = {"thermal3dgs_no_conduction"}  # a slow training without one o
 SHIPPED = sorted({path.stem for path in (ROOT / "conf/method").glob("*.yaml")} - UNTRAINED - PART_OF_ANOTHER)
 FIELDS = {
     "thermonerf", "thermonerf_thermal", "oezer_scratch", "oezer_second_branch", "oezer_separate", "oezer_finetune",
+    "depth_prior_nerf",
 }  # without Gaussians  # fmt: skip
 WORKED = ["gradient", "cooling", "one_geometry", "fine_tuned", "rig"]  # examples of docs/extending
 OPTIONS = [
