@@ -16,7 +16,6 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from torch import Tensor, nn
 
 from methods.deformable import falling
-from methods.radiance_field import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
 from tdgbench.fields import (
     MLP,
     DensityField,
@@ -30,6 +29,7 @@ from tdgbench.fields import (
 from tdgbench.fields.volume import composited, weights_of
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
+from tdgbench.training.field_method import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
 from tdgbench.training.method import Share, Stage, Step
 from tdgbench.training.part import Network, Part
 

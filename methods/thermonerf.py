@@ -15,7 +15,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from methods.deformable import falling
-from methods.radiance_field import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
 from tdgbench.fields import (
     MLP,
     DensityField,
@@ -33,6 +32,7 @@ from tdgbench.fields.volume import composited
 from tdgbench.scenes import View
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
+from tdgbench.training.field_method import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
 from tdgbench.training.method import Share, Step
 from tdgbench.training.part import Network
 from tdgbench.training.rays import RayBatch
