@@ -26,7 +26,7 @@ from tdgbench.fields import (
     encoded_directions,
     march,
 )
-from tdgbench.fields.volume import composited, weights_of
+from tdgbench.fields.volume import composited, transmittance_of, weights_of
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.field_method import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
@@ -76,7 +76,7 @@ class InstantField(PlacedField):
             behind = table.new_ones(table.shape[2]) if output.is_white_behind else None
             images[modality] = composited(weights if output.moves_density else weights.detach(), table, behind)
         depth = composited(weights, marched.depths[..., None]).squeeze(1)
-        return Marching(images, depth, weights, len(marched.contracted))
+        return Marching(images, depth, transmittance_of(weights), len(marched.contracted))
 
 
 class RayCount(Part):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
@@ -40,8 +41,12 @@ from tdgbench.training.rays import RayBatch
 
 @dataclass
 class Sampled(Rendered):
-    """What rays show, with the samples that it was made of."""
+    """What rays show, with the samples that it was made of.
 
+    The last sample of a ray hides what is behind it, in images (thermal_renderer.py) as in depth.
+    """
+
+    weights: Tensor  # (R, S), without that
     samples: Samples
     proposed: list[Proposed]
 
@@ -97,15 +102,16 @@ class ThermalField(PlacedField):
         samples, proposed = self.sampler(rays, self.region, generator, annealing, learns)
         densities, features = self.density(samples.contracted)
         weights, images = samples.weights(densities), {}
+        before = weights[:, :-1]
+        shares = torch.cat([before, 1 - before.sum(dim=1, keepdim=True)], dim=1)
         for modality in modalities:
             if modality == "rgb" and self.colour is not None:
                 values = self.colour(features, rays.directions, views)
             else:
                 values = self.thermal(features)
-            values = values.view(*weights.shape, -1)
-            images[modality] = composited(weights, values, values[:, -1])  # over the last sample; thermal_renderer.py
-        depth = composited(weights, samples.depths[..., None]).squeeze(1)
-        return Sampled(images, depth, weights, samples, proposed)
+            images[modality] = composited(shares, values.view(*weights.shape, -1))
+        depth = composited(shares, samples.depths[..., None]).squeeze(1)
+        return Sampled(images, depth, torch.zeros_like(depth), weights, samples, proposed)
 
 
 @dataclass
@@ -138,29 +144,20 @@ class ThermoNeRF(FieldMethod):
         size = self.begin_field(context)
         if len(size.samples) > 1 + len(self.proposal_finest):
             raise ValueError(f"budget.field.samples names {len(size.samples) - 1} proposals, the method has fewer")
-        generator = torch.Generator().manual_seed(context.seed)
-        rows, scene = min(self.proposal_log2_rows, size.log2_rows), context.scene
-        proposals = [
-            DensityField(
-                GridOptions(
-                    self.proposal_levels, self.cells[0], finest, rows, self.proposal_width, self.initial_density
-                ),
-                0,
-                generator,
-            )
-            for finest in self.proposal_finest[len(self.proposal_finest) + 1 - len(size.samples) :]
-        ]
-        options = GridOptions(
-            self.levels, self.cells[0], self.cells[1], size.log2_rows, self.width, self.initial_density
-        )
+        generator, scene = torch.Generator().manual_seed(context.seed), context.scene
+        grid = partial(GridOptions, coarsest=self.cells[0], initial_density=self.initial_density)
+        rows, first = min(self.proposal_log2_rows, size.log2_rows), 1 + len(self.proposal_finest) - len(size.samples)
+        small = partial(grid, levels=self.proposal_levels, log2_rows=rows, hidden=self.proposal_width)
+        proposals = [DensityField(small(finest=finest), 0, generator) for finest in self.proposal_finest[first:]]
+        options = grid(levels=self.levels, finest=self.cells[1], log2_rows=size.log2_rows, hidden=self.width)
         density = DensityField(options, FEATURES, generator)
         thermal = ThermalHead(self.width, scene.channels, generator)
         colour = ColourHead(self.width, self.appearance, len(scene.train), generator) if self.rgb else None
         module = ThermalField(Sampler(proposals, size.samples), density, thermal, colour).to(context.device)
         self.iterations = context.budget.schedule_length
         rate = falling(self.rates, max(1, round(self.rate_end * self.iterations)))
-        self.field = module
         context.add_part("field", Network(module, rate, FieldAdam))
+        self.field = module
         self.batches = context.rays(self.modalities, maps=self.maps(context))
         self.jitter = context.random("jitter")
 

@@ -13,6 +13,7 @@ ROOT = PACKAGE.parent  # of a checkout, or the folder that an installed wheel wa
 HASHED = (  # folders and files
     "tdgbench/scenes",
     "tdgbench/priors",
+    "tdgbench/fields",
     "tdgbench/splats",
     "tdgbench/training",
     "tdgbench/scoring",

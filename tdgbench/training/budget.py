@@ -25,7 +25,9 @@ class FieldSize:
     """Size of a radiance field, and of a step of its training."""
 
     rays: PositiveInt  # of a step
-    samples: list[PositiveInt]  # of a ray: for each proposal network, and at last for the field
+    samples: Annotated[
+        list[PositiveInt], Field(min_length=1)
+    ]  # of a ray: for each proposal network, then for the field
     log2_rows: Annotated[int, Field(ge=8, le=24)]  # of the largest table of a level
 
 

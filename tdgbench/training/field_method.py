@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, nn
 
 from tdgbench.fields import DensityField, Rays, Region, image_rays, region_of
-from tdgbench.fields.volume import transmittance_of
 from tdgbench.scenes import Scene
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget, FieldSize
@@ -31,12 +30,7 @@ class Rendered:
 
     images: dict[str, Tensor]  # (R, C)
     depth: Tensor  # (R,) accumulated z
-    weights: Tensor  # (R, S)
-
-    @property
-    def transmittance(self) -> Tensor:
-        """(R,)"""
-        return transmittance_of(self.weights)
+    transmittance: Tensor  # (R,) share of the light from behind all samples
 
 
 class PlacedField(nn.Module):
