@@ -69,9 +69,7 @@ class Marched(NamedTuple):
 
     def table(self, values: Tensor) -> Tensor:
         """Return the table (R, K, C) of values (N, C) of the samples, 0 in places without one."""
-        rows, columns = self.lengths.shape
-        table = values.new_zeros(rows * columns, values.shape[1])
-        return table.index_copy(0, self.places, values).view(rows, columns, -1)
+        return _table(values, self.places, *self.lengths.shape)
 
 
 def march(
@@ -88,8 +86,15 @@ def march(
         kept = grid.occupied(samples.contracted).view(samples.lengths.shape)
         order = kept.cumsum(dim=1)
         columns = max(int(order[:, -1].max()), 1)
-        ray = kept.nonzero()[:, 0]
-        places = ray * columns + order[kept] - 1
-        marched = Marched(samples.contracted[kept.view(-1)], ray, places, order.new_zeros(len(order), columns), order)
-        lengths, depths = (marched.table(one[kept][:, None]).squeeze(2) for one in (samples.lengths, samples.depths))
-    return marched._replace(lengths=lengths, depths=depths)
+        numbers = kept.nonzero()[:, 0]
+        places = numbers * columns + order[kept] - 1
+        lengths, depths = (
+            _table(one[kept][:, None], places, len(kept), columns).squeeze(2)
+            for one in (samples.lengths, samples.depths)
+        )
+        return Marched(samples.contracted[kept.view(-1)], numbers, places, lengths, depths)
+
+
+def _table(values: Tensor, places: Tensor, rows: int, columns: int) -> Tensor:
+    table = values.new_zeros(rows * columns, values.shape[1])
+    return table.index_copy(0, places, values).view(rows, columns, -1)

@@ -52,7 +52,7 @@ OPTIONS = [
             "budget.settling.tail=0.2",
             id=f"{name} budget=lean",
         )
-        for name in ("mftg", "thermonerf_thermal")
+        for name in ("mftg", "thermonerf_thermal", "oezer_finetune method.method.rgb_share=0.5")
     ),
 ]  # that change parts
 
