@@ -101,6 +101,8 @@ class InstantThermal(FieldMethod):
     A subclass sets `outputs`, by modality, and makes the field of them by `begin`.
     """
 
+    rays_at_once = 512  # with up to a thousand samples each
+
     rates: list[PositiveFloat]  # first and last; they fall log-linearly
     rate_end: Share  # of all iterations; the last rate is reached there, and stays
     levels: PositiveInt

@@ -20,7 +20,6 @@ from tdgbench.training.warmup import compile_field_kernels
 
 FEATURES = 15  # of the density network, for the heads; geo_feat_dim of nerfacto, network.py of torch-ngp
 DIRECTIONS = 16  # harmonics up to degree 3
-PIECE = 4096  # rays of an image that are rendered together
 TIMED = 4096  # positions
 
 
@@ -65,6 +64,7 @@ class FieldMethod(Method):
     """
 
     renders_plain_gaussians = False
+    rays_at_once: int = 4096  # of an image, which are rendered together
 
     field: Any  # a PlacedField
     size: FieldSize
@@ -103,8 +103,8 @@ class FieldMethod(Method):
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
         camera = Pinhole.of(frame.camera).to(self.field.density.grid.table)
         rays, parts = image_rays(camera.K, camera.viewmat, camera.width, camera.height), list[Rendered]()
-        for start in range(0, len(rays.origins), PIECE):
-            piece = Rays(*(tensor[start : start + PIECE] for tensor in rays))
+        for start in range(0, len(rays.origins), self.rays_at_once):
+            piece = Rays(*(tensor[start : start + self.rays_at_once] for tensor in rays))
             parts.append(self.rendered(piece, modality))
         size = camera.height, camera.width
         image = torch.cat([part.images[modality] for part in parts]).clamp(0, 1).view(*size, -1)

@@ -175,3 +175,14 @@ def test_rays_adapt_to_the_occupied_samples():
     assert count.rays == MOST_RAYS * 100
     count.note(10**9)
     assert count.rays == 1
+
+
+def test_pieces_change_no_image(trainers, small_gray_scene):
+    trainer = trainers["oezer_separate"]
+    method, frame = trainer.method, trainer.context.frame(small_gray_scene.test[0])
+    other = copy.copy(method)
+    other.rays_at_once = 100  # not a divisor of the pixels
+    for modality in ("thermal", "rgb"):
+        renders = [one.render(frame, modality) for one in (method, other)]
+        for name in ("image", "depth", "transmittance"):
+            assert torch.allclose(*(getattr(render, name) for render in renders), atol=1e-6)
