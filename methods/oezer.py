@@ -85,13 +85,13 @@ class RayCount(Part):
     changing = ("rays",)
 
     def __init__(self, rays: int) -> None:
-        """rays: of the first step; also the fewest."""
-        self.points, self.fewest, self.rays = POINTS_OF_RAY * rays, rays, rays
+        """rays: of the first step."""
+        self.points, self.most, self.rays = POINTS_OF_RAY * rays, MOST_RAYS * rays, rays
 
     def note(self, points: int) -> None:
         """Take the number of samples of a step, and choose the rays of the next one."""
         wanted = round(self.rays * self.points / max(points, 1))
-        self.rays = min(max(wanted, 1), MOST_RAYS * self.fewest)
+        self.rays = min(max(wanted, 1), self.most)
 
 
 @dataclass
