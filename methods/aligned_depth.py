@@ -12,6 +12,7 @@ PRUNED = 0.001  # share of the depths that is left out at either end
 PENALTY = 2.0  # of depths that are not positive
 ROUNDS = 50
 MIN_POINTS = 4
+NORMAL_MEDIAN = 1.4826  # standard deviation of normal errors / the median of their absolute values
 FARTHEST = 2.0  # × the farthest point's depth: an inverted disparity is unknown beyond
 
 
@@ -32,12 +33,8 @@ def _metric(scene: Scene, prior: DepthPrior, camera: Camera, name: str, occlusio
             f"{scene.name} has no sparse points, to which the {prior.kind} prior of view {name} could be aligned; give "
             "depth in world units: prior=files prior.estimator.kind=metric prior.estimator.folder=DIR"
         )
-    points, source = scene.points.points, prior.values.astype(np.float64)
-    if occlusion is not None:
-        width = min(grid_width([camera], points), camera.width)
-        small = camera.resized(width, max(1, round(camera.height * width / camera.width)))
-        points = points[visible_points(small, points, occlusion).number]
-    target = sparse_depths(points, camera)
+    source = prior.values.astype(np.float64)
+    target = sparse_depths(_seen_points(scene.points.points, camera, occlusion), camera)
     found = (target > 0) & np.isfinite(source)
     if np.count_nonzero(found) < MIN_POINTS:
         raise PriorError(
@@ -49,6 +46,30 @@ def _metric(scene: Scene, prior: DepthPrior, camera: Camera, name: str, occlusio
         found &= np.isfinite(source)
     scale, shift = fit(source[found], target[found])
     return DepthPrior((scale * source + shift).astype(np.float32), "metric")
+
+
+def deviation(scene: Scene, depth: DepthPrior, camera: Camera, occlusion: float | None = None) -> float:
+    """Return the standard deviation of a metric prior from the scene's sparse points, world units, by its median.
+
+    1.4826 × the median of |prior − point|, which of normal errors is their standard deviation. It is 0 where fewer than
+    MIN_POINTS are in pixels with a prior. occlusion: see `metric_depths`.
+    """
+    if scene.points is None or not len(scene.points.points):
+        return 0.0
+    target = sparse_depths(_seen_points(scene.points.points, camera, occlusion), camera)
+    found = (target > 0) & np.isfinite(depth.values)
+    if np.count_nonzero(found) < MIN_POINTS:
+        return 0.0
+    return float(NORMAL_MEDIAN * np.median(np.abs(depth.values[found] - target[found])))
+
+
+def _seen_points(points: np.ndarray, camera: Camera, occlusion: float | None) -> np.ndarray:
+    """Return the points (N, 3) without those behind others by more than a share of their depth; None: all."""
+    if occlusion is None:
+        return points
+    width = min(grid_width([camera], points), camera.width)
+    small = camera.resized(width, max(1, round(camera.height * width / camera.width)))
+    return points[visible_points(small, points, occlusion).number]
 
 
 def sparse_depths(points: np.ndarray, camera: Camera) -> np.ndarray:

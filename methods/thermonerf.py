@@ -6,12 +6,10 @@ The thermal head has no direction and no appearance.
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
-import numpy as np
 import torch
 from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt
 from torch import Tensor, nn
@@ -24,39 +22,30 @@ from tdgbench.fields import (
     FieldAdam,
     GridOptions,
     Rays,
-    Region,
     Sampler,
     annealed,
     distortion_loss,
     encoded_directions,
-    image_rays,
     proposal_loss,
-    region_of,
 )
 from tdgbench.fields.proposals import Proposed, Samples
 from tdgbench.fields.volume import composited
-from tdgbench.scenes import Scene
-from tdgbench.splats.view import Pinhole, Render
-from tdgbench.training.budget import Budget
+from tdgbench.scenes import View
+from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
-from tdgbench.training.method import Frame, Method, Share, Step
+from tdgbench.training.field_method import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
+from tdgbench.training.method import Share, Step
 from tdgbench.training.part import Network
-from tdgbench.training.warmup import compile_field_kernels
-
-FEATURES = 15  # of the density network, for the heads; geo_feat_dim
-DIRECTIONS = 16  # harmonics up to degree 3
-PIECE = 4096  # rays of an image that are rendered together
-TIMED = 4096  # positions
+from tdgbench.training.rays import RayBatch
 
 
-class Rendered(NamedTuple):
-    """What R rays show, by modality, with the samples that it was made of.
+@dataclass
+class Sampled(Rendered):
+    """What rays show, with the samples that it was made of.
 
     The last sample of a ray hides what is behind it, in images (thermal_renderer.py) as in depth.
     """
 
-    images: dict[str, Tensor]  # (R, C)
-    depth: Tensor  # (R,) z
     weights: Tensor  # (R, S), without that
     samples: Samples
     proposed: list[Proposed]
@@ -96,36 +85,19 @@ class ColourHead(nn.Module):
         return colours
 
 
-class ThermalField(nn.Module):
-    """Sampler, density, heads, and the region that they represent, which is stored: stored cells have no points."""
-
-    region_numbers: Tensor
+class ThermalField(PlacedField):
+    """Sampler, density and heads."""
 
     def __init__(
         self, sampler: Sampler, density: DensityField, thermal: ThermalHead, colour: ColourHead | None
     ) -> None:
         super().__init__()
         self.sampler, self.density, self.thermal, self.colour = sampler, density, thermal, colour
-        self.register_buffer("region_numbers", torch.zeros(6, dtype=torch.float64))
-
-    @property
-    def region(self) -> Region:
-        x, y, z, radius, near, far = self.region_numbers.tolist()
-        return Region((x, y, z), radius, near, far)
-
-    @region.setter
-    def region(self, region: Region) -> None:
-        self.region_numbers.copy_(torch.tensor([*region.center, *region[1:]], dtype=torch.float64))
-
-    @property
-    def is_placed(self) -> bool:
-        """Whether the region is known."""
-        return self.region.radius > 0
 
     def forward(
         self, rays: Rays, modalities: tuple[str, ...], views: Tensor | None = None,
         generator: torch.Generator | None = None, annealing: float = 1.0, learns: bool = False,
-    ) -> Rendered:  # fmt: skip
+    ) -> Sampled:  # fmt: skip
         """Render rays. views (R,): whose appearance they have. The others: of the sampler."""
         samples, proposed = self.sampler(rays, self.region, generator, annealing, learns)
         densities, features = self.density(samples.contracted)
@@ -139,14 +111,12 @@ class ThermalField(nn.Module):
                 values = self.thermal(features)
             images[modality] = composited(shares, values.view(*weights.shape, -1))
         depth = composited(shares, samples.depths[..., None]).squeeze(1)
-        return Rendered(images, depth, weights, samples, proposed)
+        return Sampled(images, depth, torch.zeros_like(depth), weights, samples, proposed)
 
 
 @dataclass
-class ThermoNeRF(Method):
+class ThermoNeRF(FieldMethod):
     """L = L_rgb + λ_thermal L_thermal + λ_interlevel L_interlevel + λ_distortion L_distortion, the first two MSEs."""
-
-    renders_plain_gaussians = False
 
     rgb: bool  # whether RGB images are trained on, too
     lambda_thermal: NonNegativeFloat
@@ -170,13 +140,8 @@ class ThermoNeRF(Method):
     def __post_init__(self) -> None:
         self.modalities = ("thermal", "rgb") if self.rgb else ("thermal",)
 
-    def compile_kernels(self, scene: Scene, budget: Budget, backend: str) -> None:
-        compile_field_kernels(backend)
-
     def setup(self, context: Context) -> None:
-        size = context.budget.field
-        if size is None:
-            raise ValueError("the budget lacks `field`, the size of a radiance field; see conf/budget/paper.yaml")
+        size = self.begin_field(context)
         if len(size.samples) > 1 + len(self.proposal_finest):
             raise ValueError(f"budget.field.samples names {len(size.samples) - 1} proposals, the method has fewer")
         generator, scene = torch.Generator().manual_seed(context.seed), context.scene
@@ -189,17 +154,15 @@ class ThermoNeRF(Method):
         thermal = ThermalHead(self.width, scene.channels, generator)
         colour = ColourHead(self.width, self.appearance, len(scene.train), generator) if self.rgb else None
         module = ThermalField(Sampler(proposals, size.samples), density, thermal, colour).to(context.device)
-        self.iterations, self.size = context.budget.schedule_length, size
+        self.iterations = context.budget.schedule_length
         rate = falling(self.rates, max(1, round(self.rate_end * self.iterations)))
         context.add_part("field", Network(module, rate, FieldAdam))
         self.field = module
-        self.batches = context.rays(self.modalities)
+        self.batches = context.rays(self.modalities, maps=self.maps(context))
         self.jitter = context.random("jitter")
-        self.points, self.poses = context.points.points, np.stack([v.camera.world_to_camera for v in scene.train])
 
     def step(self, iteration: int) -> Step:
-        if not self.field.is_placed:
-            self.field.region = region_of(self.points, self.poses)
+        self.place()
         batch = self.batches.next(self.size.rays)
         annealing = annealed(iteration / max(self.annealing_end * self.iterations, 1))
         learns = self._proposals_learn(iteration)
@@ -211,34 +174,29 @@ class ThermoNeRF(Method):
             loss = loss + self.lambda_distortion * terms["distortion"]
         if learns and shown.proposed:
             loss = loss + self.lambda_interlevel * proposal_loss(shown.samples, shown.weights, shown.proposed)
+        for name, term in self.further_losses(batch, shown).items():
+            terms[name] = term
+            loss = loss + term
         image = shown.images["thermal"][:, None]  # a column of pixels
-        render = Render(image, None, torch.zeros_like(shown.depth)[:, None])
+        render = Render(image, None, shown.transmittance[:, None])
         return Step(loss, terms, render, batch.pixels["thermal"][:, None])
 
-    @torch.no_grad()
-    def render(self, frame: Frame, modality: str = "thermal") -> Render:
-        camera = Pinhole.of(frame.camera).to(self.field.density.grid.table)
-        rays, parts = image_rays(camera.K, camera.viewmat, camera.width, camera.height), list[Rendered]()
-        for start in range(0, len(rays.origins), PIECE):
-            piece = Rays(*(tensor[start : start + PIECE] for tensor in rays))
-            parts.append(self.field(piece, (modality,)))
-        size = camera.height, camera.width
-        image = torch.cat([part.images[modality] for part in parts]).clamp(0, 1).view(*size, -1)
-        depth = torch.cat([part.depth for part in parts]).view(size)
-        return Render(image, depth, torch.zeros_like(depth))
+    def maps(self, context: Context) -> dict[str, Callable[[View], Tensor]]:
+        """Return what batches bring of pixels beside their modalities; nothing by default."""
+        return {}
 
-    def step_seconds(self) -> float:
-        """Return the time of the field; that of the proposals comes on top."""
-        positions = torch.rand(TIMED, 3).to(self.field.density.grid.table)
-        seconds = [self._seconds_at(positions) for _ in range(2)]  # the first time, memory is new
-        return seconds[1] * self.size.rays * self.size.samples[-1] / TIMED
+    def further_losses(self, batch: RayBatch, shown: Sampled) -> dict[str, Tensor]:
+        """Return weighted terms that a subclass adds to the loss."""
+        return {}
 
-    def _seconds_at(self, positions: Tensor) -> float:
-        start = time.perf_counter()
+    def rendered(self, rays: Rays, modality: str) -> Rendered:
+        shown: Rendered = self.field(rays, (modality,))
+        return shown
+
+    def values_at(self, positions: Tensor) -> Tensor:
+        """Return the sum of density and temperatures; the time of the proposals comes on top."""
         densities, features = self.field.density(positions)
-        (densities.sum() + self.field.thermal(features).sum()).backward()
-        self.field.zero_grad()
-        return time.perf_counter() - start
+        return densities.sum() + self.field.thermal(features).sum()
 
     def _proposals_learn(self, iteration: int) -> bool:
         """Return whether the proposals make a step: always at first, then in ever fewer iterations (nerfacto)."""

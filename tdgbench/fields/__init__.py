@@ -5,11 +5,13 @@ from tdgbench.fields.contraction import Region, region_of
 from tdgbench.fields.density import DensityField, GridOptions
 from tdgbench.fields.hash_grid import HashGrid
 from tdgbench.fields.networks import MLP, encoded_directions
+from tdgbench.fields.occupancy import OccupancyGrid, march
 from tdgbench.fields.proposals import Sampler, annealed, proposal_loss
 from tdgbench.fields.rays import Rays, image_rays, rays_of
 from tdgbench.fields.sampling import distortion_loss
 
 __all__ = [
-    "MLP", "DensityField", "FieldAdam", "GridOptions", "HashGrid", "Rays", "Region", "Sampler", "annealed",
-    "distortion_loss", "encoded_directions", "image_rays", "proposal_loss", "rays_of", "region_of",
+    "MLP", "DensityField", "FieldAdam", "GridOptions", "HashGrid", "OccupancyGrid", "Rays", "Region", "Sampler",
+    "annealed", "distortion_loss", "encoded_directions", "image_rays", "march", "proposal_loss", "rays_of",
+    "region_of",
 ]  # fmt: skip

@@ -22,19 +22,21 @@ class GridOptions:
     log2_rows: int  # of the largest table of a level
     hidden: int  # width of the network
     initial_density: float  # of the untrained field, about, per radius of the region
+    layers: int = 1  # hidden ones of the network
 
 
 class DensityField(nn.Module):
     """Density of a position, per radius of the region, with features for the networks of colours (Müller et al. 2022).
 
-    The network has one hidden layer; its first output is the logarithm of the density.
+    The first output of the network is the logarithm of the density.
     """
 
     def __init__(self, options: GridOptions, features: int, generator: torch.Generator) -> None:
         super().__init__()
         self.initial_density = options.initial_density
         self.grid = HashGrid(options.levels, options.coarsest, options.finest, options.log2_rows, generator)
-        self.network = MLP((FEATURES * options.levels, options.hidden, 1 + features), generator)
+        sizes = FEATURES * options.levels, *[options.hidden] * options.layers, 1 + features
+        self.network = MLP(sizes, generator)
 
     def forward(self, contracted: Tensor) -> tuple[Tensor, Tensor]:
         """Return densities (N,) and features (N, F) of contracted positions (N, 3)."""

@@ -96,7 +96,7 @@ class _Encode(torch.autograd.Function):
         at, rows, features = (
             positions.numpy(),
             table.detach().numpy(),
-            out.numpy().reshape(-1, FEATURES, len(positions)),
+            out.numpy().reshape(len(levels), FEATURES, len(positions)),
         )
 
         def run(start: int, stop: int) -> None:
@@ -109,7 +109,7 @@ class _Encode(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None, None]:
         at, of_table = ctx.saved_tensors[0].numpy(), ctx.memory.zeros(ctx.shape)
-        of_features = gradients[0].T.contiguous().numpy().reshape(-1, FEATURES, len(at))
+        of_features = gradients[0].T.contiguous().numpy().reshape(len(ctx.levels), FEATURES, len(at))
         threads = min(len(ctx.levels), pool.threads_for(len(at), SAMPLES_EACH))
 
         def run(first: int) -> None:

@@ -198,9 +198,15 @@ class Context:
         curriculum = self.curriculum(modality or self.modality)
         return self.add_part(name, ViewOrder(self.scene.train, self._seed(), curriculum))
 
-    def rays(self, modalities: Sequence[str], name: str = "rays") -> RayBatches:
+    def rays(
+        self,
+        modalities: Sequence[str],
+        name: str = "rays",
+        maps: Mapping[str, Callable[[View], torch.Tensor]] | None = None,
+    ) -> RayBatches:
         """Make random batches of rays through pixels of the training views, with their values in these modalities.
 
+        maps: further values (H, W, C) of a view at the resolution of the iteration, by name, such as a depth prior.
         Raises ValueError where the thermal camera's rig is to be learnt, which takes the gradients of Gaussians.
         """
         if self.rig is not None:
@@ -208,7 +214,8 @@ class Context:
                 "thermal_camera.rig learns with Gaussians; this method has none: use thermal_camera.rig=false"
             )
         curriculum = self.curriculum(self.modality)
-        return self.add_part(name, RayBatches(self.scene.train, self._seed(), curriculum, modalities, self.device))
+        batches = RayBatches(self.scene.train, self._seed(), curriculum, modalities, self.device, maps)
+        return self.add_part(name, batches)
 
     def network(self, name: str, module: torch.nn.Module, rate: Rate) -> Network:
         """Make a network with Adam at a learning rate, which may depend on the iteration (1-based).

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ class RayBatch(NamedTuple):
     """Rays with the pixels that they go through."""
 
     rays: Rays
-    pixels: dict[str, Tensor]  # (R, C) by modality
+    pixels: dict[str, Tensor]  # (R, C) by modality, or by the name of a further map
     views: Tensor  # (R,) numbers of the training views
 
 
@@ -34,18 +34,28 @@ class _Pixels(NamedTuple):
     number: int  # of pixels that count
     K: Tensor  # (V, 3, 3)
     viewmats: Tensor  # (V, 4, 4)
-    values: dict[str, Tensor]  # (pixels, C) by modality
+    values: dict[str, Tensor]  # (pixels, C) by modality or map
 
 
 class RayBatches(RandomStream):
     """Draws pixels uniformly among those of all training views that have a thermal value, with replacement."""
 
     def __init__(
-        self, views: Sequence[View], seed: int, curriculum: Curriculum, modalities: Sequence[str], device: torch.device
+        self,
+        views: Sequence[View],
+        seed: int,
+        curriculum: Curriculum,
+        modalities: Sequence[str],
+        device: torch.device,
+        maps: Mapping[str, Callable[[View], Tensor]] | None = None,
     ) -> None:
-        """curriculum: which of the views, and at which resolution. modalities: whose pixels are read."""
+        """curriculum: which of the views, and at which resolution. modalities: whose pixels are read.
+
+        maps: further values (H, W, C) of a view, in the size of its image, by name.
+        """
         super().__init__(seed)
         self.views, self.curriculum, self.modalities, self.device = views, curriculum, modalities, device
+        self.maps = maps or {}
         self._pixels: tuple[tuple[int, bool], _Pixels] | None = None  # of a scale, and whether views are held out
 
     def next(self, count: int) -> RayBatch:
@@ -77,6 +87,8 @@ class RayBatches(RandomStream):
             name: torch.cat([MODALITIES[name].tensors_of(v, self.device)[0].flatten(0, 1) for v in views])
             for name in self.modalities
         }
+        for name, map_of in self.maps.items():
+            values[name] = torch.cat([map_of(view).to(self.device).flatten(0, 1) for view in views])
         K, viewmats = (
             torch.from_numpy(np.stack(arrays).astype(np.float32)).to(self.device)
             for arrays in ([v.camera.K for v in views], [v.camera.world_to_camera for v in views])

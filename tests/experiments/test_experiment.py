@@ -100,7 +100,7 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
     ("method=tgd", "method=tgd: there is no such method; did you mean tdg? (there are 3dgs,"),
     ("+experiment=tabel1", "experiment=tabel1: there is no such experiment; did you mean table1? (there are budgets,"),
     ("method=msmg method.method.lambda_depth=1",
-     "method.method.lambda_depth=1: is no option; it belongs to method=depth_regularised, tdg ("),
+     "method.method.lambda_depth=1: is no option; it belongs to method=depth_prior_nerf, depth_regularised, tdg ("),
     ("method=a/method/b.yaml", "method=a/method/b.yaml: method takes a name: --config-dir a method=b"),
     ("method=b.yaml", "method=b.yaml: method takes a name: --config-dir DIR method=b, which reads DIR/method/b.yaml"),
     ("method=b.B", "method=b.B: there is no such method; a class is named in a YAML file: `_target_` (docs/extending"),

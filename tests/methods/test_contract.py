@@ -37,7 +37,10 @@ OFTEN = (
 UNTRAINED = {"renders", "model"}  # of files made elsewhere; their tests run and verify cells
 PART_OF_ANOTHER = {"thermal3dgs_no_conduction"}  # a slow training without one of the other's parts
 SHIPPED = sorted({path.stem for path in (ROOT / "conf/method").glob("*.yaml")} - UNTRAINED - PART_OF_ANOTHER)
-FIELDS = {"thermonerf", "thermonerf_thermal"}  # without Gaussians
+FIELDS = {
+    "thermonerf", "thermonerf_thermal", "oezer_scratch", "oezer_second_branch", "oezer_separate", "oezer_finetune",
+    "depth_prior_nerf",
+}  # without Gaussians  # fmt: skip
 WORKED = ["gradient", "cooling", "one_geometry", "fine_tuned", "rig"]  # examples of docs/extending
 OPTIONS = [
     "3dgs thermal_camera.rig=true",
@@ -49,7 +52,7 @@ OPTIONS = [
             "budget.settling.tail=0.2",
             id=f"{name} budget=lean",
         )
-        for name in ("mftg", "thermonerf_thermal")
+        for name in ("mftg", "thermonerf_thermal", "oezer_finetune method.method.rgb_share=0.5")
     ),
 ]  # that change parts
 

@@ -43,6 +43,17 @@ def test_rays_go_through_the_pixels_whose_values_they_bring(small_scene):
         assert np.array_equal(batch.pixels["rgb"][ray], view.rgb[y, x])
 
 
+def test_further_maps_come_with_their_pixels_at_the_resolution_of_the_iteration(small_gray_scene):
+    views = small_gray_scene.train
+    maps = {"twice": lambda view: torch.from_numpy(2 * view.thermal)}
+    curriculum = Curriculum([Resolution(5, 4)])
+    drawn = RayBatches(views, 0, curriculum, ("thermal",), CPU, maps)
+    for iteration in (1, 6):
+        curriculum.begin(iteration)
+        pixels = drawn.next(100).pixels
+        assert torch.equal(pixels["twice"], 2 * pixels["thermal"]) and pixels["twice"].any()
+
+
 def test_every_pixel_is_drawn_as_often(small_gray_scene):
     views = small_gray_scene.train[:2]
     pixels = views[0].camera.width * views[0].camera.height

@@ -1,0 +1,188 @@
+"""The four strategies of Özer et al.: what each learns, its gradients, its schedules, what lies behind its rays."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+
+from methods.oezer import FULL_UPDATES, MOST_RAYS, POINTS_OF_RAY, RayCount
+from tdgbench.fields import Rays
+from tdgbench.training.loop import train
+from tests.helpers.training import ready_to_train
+
+SIZE = ("budget.field.rays=128", "budget.field.samples=[16,16]", "budget.field.log2_rows=12")
+JOINT = ("oezer_second_branch", "oezer_separate")
+LEAST_DENSITY = 20.0  # above the largest threshold: cells are occupied
+
+
+@pytest.fixture(scope="module")
+def trainers(small_gray_scene):
+    """Each strategy after a short training, by name."""
+    trainers = {}
+    for name in ("oezer_scratch", *JOINT, "oezer_finetune"):
+        trainers[name] = ready_to_train(small_gray_scene, name, 300 if name == "oezer_finetune" else 150, *SIZE)
+        trainers[name].log = train(trainers[name])
+    return trainers
+
+
+def rays_of(trainer) -> tuple[Rays, dict[str, torch.Tensor]]:
+    batch = trainer.method.batches.next(100)
+    return batch.rays, batch.pixels
+
+
+@pytest.mark.parametrize("name", ["oezer_scratch", *JOINT, "oezer_finetune"])
+def test_it_learns_temperature_and_depth(trainers, small_gray_scene, name):
+    trainer, view = trainers[name], small_gray_scene.train[0]
+    frame = trainer.context.frame(view)
+    render = trainer.method.render(frame)
+    error, spread = (np.abs(view.thermal - other).mean() for other in (render.image.numpy(), view.thermal.mean()))
+    assert render.image.shape == view.thermal.shape and error < 0.5 * spread
+    region, surface = trainer.method.field.region, render.alpha.numpy() > 0.5
+    depth = render.expected_depth[surface]
+    assert surface.mean() > 0.2 and depth.min() >= region.near and depth.max() <= region.far
+
+
+@pytest.mark.parametrize("name", [*JOINT, "oezer_finetune"])
+def test_it_learns_rgb(trainers, small_gray_scene, name):
+    trainer, view = trainers[name], small_gray_scene.train[0]
+    losses = [line.terms["rgb"] for line in trainer.log.lines if "rgb" in line.terms]
+    assert losses[-1] < 0.5 * losses[0]
+    assert trainer.method.render(trainer.context.frame(view), "rgb").image.shape == view.rgb.shape
+
+
+def test_heads_have_the_authors_sizes(trainers):
+    def sizes(name: str) -> dict[str, list[tuple[int, ...]]]:
+        heads = trainers[name].method.field.heads
+        return {head: [tuple(weight.shape) for weight in mlp.weights] for head, mlp in heads.items()}
+
+    hidden = [(32, 31), (32, 32)]
+    assert sizes("oezer_scratch") == {"image": [*hidden, (1, 32)]}
+    assert sizes("oezer_second_branch") == {"image": [*hidden, (4, 32)]}
+    assert sizes("oezer_separate") == {"image": [*hidden, (3, 32)], "temperature": [*hidden, (1, 32)]}
+    assert sizes("oezer_finetune") == {"image": [*hidden, (3, 32)]}
+    density = trainers["oezer_scratch"].method.field.density.network
+    assert [tuple(weight.shape) for weight in density.weights] == [(64, 32), (64, 64), (16, 64)]
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_as_released_the_temperature_moves_no_density(small_gray_scene, moves):
+    """The first row of the density network's last layer gives densities alone, the others features alone."""
+    option = f"method.method.temperature_moves_density={str(moves).lower()}"
+    trainer = ready_to_train(small_gray_scene, "oezer_separate", 60, *SIZE, option)
+    train(trainer)
+    field, (rays, pixels) = trainer.method.field, rays_of(trainer)
+    last = field.density.network.weights[-1]
+    gradients = {}
+    for name, output in trainer.method.outputs.items():
+        shown = field(rays, {name: output}).images[name]
+        found = torch.autograd.grad((shown - pixels[name]).square().mean(), [last, field.density.grid.table])
+        gradients[name] = found
+    of_density, of_features = gradients["thermal"][0].split([1, 15])
+    assert bool(of_density.any()) == moves and of_features.any() and gradients["thermal"][1].any()
+    assert gradients["rgb"][0][:1].any()
+
+
+def test_readings_of_the_gradient_render_the_same(trainers):
+    trainer = trainers["oezer_separate"]
+    field, (rays, _) = trainer.method.field, rays_of(trainer)
+    output = trainer.method.outputs["thermal"]
+    images = [field(rays, {"thermal": output._replace(moves_density=moves)}).images["thermal"] for moves in (0, 1)]
+    assert torch.equal(*images)
+
+
+def test_white_is_behind_all_but_the_separate_temperature(trainers):
+    """Where no cell is occupied, rays show what is behind."""
+    for name in ("oezer_scratch", *JOINT):
+        method = trainers[name].method
+        field = copy.deepcopy(method.field)
+        field.occupancy.densities.zero_()
+        shown = field(rays_of(trainers[name])[0], method.outputs)
+        for modality, image in shown.images.items():
+            behind = 0.0 if (name, modality) == ("oezer_separate", "thermal") else 1.0
+            assert torch.equal(image, torch.full_like(image, behind))
+        assert shown.points == 0 and not shown.depth.any()
+        sum(image.sum() for image in shown.images.values()).backward()
+        assert not any(parameter.grad is not None and parameter.grad.any() for parameter in field.parameters())
+
+
+@pytest.mark.parametrize("name", JOINT)
+def test_images_and_gradients_are_those_of_float64(trainers, name):
+    """Against plain torch, with all cells occupied."""
+    trainer, results = trainers[name], []
+    rays, pixels = rays_of(trainer)
+    for dtype in (torch.float32, torch.float64):
+        field = copy.deepcopy(trainer.method.field)
+        field.occupancy.densities.fill_(LEAST_DENSITY)
+        field = field.to(dtype)
+        shown = field(Rays(*(tensor.to(dtype) for tensor in rays)), trainer.method.outputs)
+        assert shown.points == 100 * field.steps
+        loss = sum((image - pixels[one].to(dtype)).square().mean() for one, image in shown.images.items())
+        loss.backward()
+        results.append((loss.item(), {one: parameter.grad for one, parameter in field.named_parameters()}))
+    (single, gradients), (exact, exact_gradients) = results
+    assert single == pytest.approx(exact, rel=1e-4)
+    for one, gradient in gradients.items():
+        assert (gradient - exact_gradients[one]).norm() <= 3e-3 * exact_gradients[one].norm(), one
+
+
+def test_rates_end_at_the_authors_share_and_stay(small_gray_scene):
+    rate = ready_to_train(small_gray_scene, "oezer_scratch", 2950, *SIZE).parts["field"].rate
+    assert [rate(n) for n in (1, 501, 1001, 2950)] == pytest.approx([1e-2, 10**-2.5, 1e-3, 1e-3])
+
+
+def test_fine_tuning_goes_on_with_network_optimiser_and_rate(small_gray_scene):
+    trainer, states = ready_to_train(small_gray_scene, "oezer_finetune", 50, *SIZE), {}
+
+    def note(log):
+        part = trainer.parts["field"]
+        if log.iterations in (30, 31):
+            table = part.module.density.grid.table
+            states[log.iterations] = table.detach().clone(), part.optimizer.state[table]["step"], part.rate(1)
+
+    train(trainer, after_iteration=note)
+    (before, steps, first), (after, more, later) = states[30], states[31]
+    assert (steps, more) == (29, 30)  # the last iteration of a stage makes no step
+    assert trainer.method.rate(1) == pytest.approx(1e-2) and first == later == pytest.approx(1e-3)
+    assert 0 < (after - before).abs().max() < 0.02
+    method = trainer.method
+    assert torch.equal(method.rgb_field.density.grid.table, before)
+    assert trainer.stages[0].share == pytest.approx(0.6) and set(trainer.all_parts()) >= {"field", "rgb/field"}
+
+
+def test_all_cells_are_updated_at_first_and_then_half(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "oezer_scratch", 60, *SIZE, "method.method.update_every=3")
+    method, counts = trainer.method, []
+    occupancy = method.field.occupancy
+    update = occupancy.update
+    occupancy.update = lambda density_of, *rest: update(
+        lambda positions: [counts.append(len(positions)), density_of(positions)][1], *rest
+    )
+    train(trainer)
+    cells = occupancy.cells**3
+    assert counts == [cells] * FULL_UPDATES + [cells // 2] * (20 - FULL_UPDATES)
+
+
+def test_rays_adapt_to_the_occupied_samples():
+    count = RayCount(100)
+    count.note(2 * POINTS_OF_RAY * 100)
+    assert count.rays == 50
+    count.note(POINTS_OF_RAY * 100 // 4)
+    assert count.rays == 200
+    count.note(0)
+    assert count.rays == MOST_RAYS * 100
+    count.note(10**9)
+    assert count.rays == 1
+
+
+def test_pieces_change_no_image(trainers, small_gray_scene):
+    trainer = trainers["oezer_separate"]
+    method, frame = trainer.method, trainer.context.frame(small_gray_scene.test[0])
+    other = copy.copy(method)
+    other.rays_at_once = 100  # not a divisor of the pixels
+    for modality in ("thermal", "rgb"):
+        renders = [one.render(frame, modality) for one in (method, other)]
+        for name in ("image", "depth", "transmittance"):
+            assert torch.allclose(*(getattr(render, name) for render in renders), atol=1e-6)
