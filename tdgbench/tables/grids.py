@@ -33,7 +33,7 @@ from tdgbench.tables.palette import is_marked, palette_notes, with_mark
 from tdgbench.tables.verdicts import NEVER, UNDECIDED
 from tdgbench.text import named
 
-NO_BOLD = f"no bold type: it needs {FEWEST_SEEDS} seeds"
+NO_BOLD = f"no bold type: it needs {FEWEST_SEEDS} seeds of each method"
 SPREAD = "± is the standard deviation over seeds"
 TIMES = "times: training of all models of a method, an RGB model too, without making depth priors"
 GAUSSIANS_NOTE = "Gaussians: of all models of a method, an RGB model too"
@@ -78,7 +78,7 @@ def _usual_columns(main: pd.DataFrame) -> tuple[str, ...]:
 def _number_notes(main: pd.DataFrame) -> list[str]:
     known = main[main["value"].notna()]
     several = len(known[["method", "init"] if "init" in main else ["method"]].drop_duplicates()) > 1
-    bold = [bold_note()] if main["bold"].any() else [NO_BOLD] * bool(several and known["seeds"].max() < FEWEST_SEEDS)
+    bold = [bold_note()] if main["bold"].any() else [NO_BOLD] * bool(several and known["seeds"].min() < FEWEST_SEEDS)
     return [*bold, *[SPREAD] * bool(main["std"].notna().any())]
 
 

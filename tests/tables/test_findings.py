@@ -42,7 +42,7 @@ def test_they_say_what_the_seeds_tell(tmp_path):
             write(tmp_path, method, "orbit", "synthetic", seed=seed, scores={"psnr": value, "lpips": None}, prior=prior,
                   environment={"cells_at_once": 2})  # fmt: skip
     tables = build_tables(tmp_path)
-    assert "no bold type: it needs 3 seeds" not in tables.grid.notes
+    assert "no bold type: it needs 3 seeds of each method" not in tables.grid.notes
     notes = {"times are of 2 cells at once, which may slow each other down", SPREAD, TIMES}
     assert notes <= set(tables.grid.notes)
     assert "Built-in scenes (synthetic)" in tables.latex and "Day light" not in tables.latex
