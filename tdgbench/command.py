@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterable
-from itertools import islice
+from itertools import islice, pairwise
 
 import hydra
 from hydra._internal.utils import get_args_parser
@@ -35,7 +35,7 @@ def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
     if words and "=" not in words[0] and words[0][:1] not in "-+~":
         say(f"tdgbench: {no_tool(words)}", stderr=True)
         return 2
-    for word, following in zip(words, [*words[1:], ""], strict=True):
+    for word, following in pairwise([*words, ""]):
         name, equal, value = word.partition("=")
         if name.startswith("--") and not any(flag.startswith(name) for flag in _flags()):
             say(f"tdgbench: {word}: options have no dashes: {name[2:]}={value if equal else following}", stderr=True)

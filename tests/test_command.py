@@ -23,6 +23,18 @@ def test_a_run_leaves_the_environment_as_it_was(monkeypatch):
     assert os.environ == before
 
 
+@pytest.mark.parametrize(
+    ("words", "hydras"),
+    [([], [command.DEMO]), (["scene=orbit"], ["scene=orbit"]), (["name=x", "-m"], ["-m", "name=x"])],
+)
+def test_what_hydra_gets(monkeypatch, words, hydras):
+    """Without words the demo: the first command of the README."""
+    got = []
+    monkeypatch.setattr(sys, "argv", ["tdgbench"])
+    monkeypatch.setattr(command, "run_experiment", lambda: got.extend(sys.argv[1:]))
+    assert command.run(words) == 0 and got == hydras
+
+
 @pytest.mark.parametrize("name", TOOLS)
 def test_every_tool_explains_itself(name, capsys):
     with pytest.raises(SystemExit) as stop:
