@@ -99,8 +99,8 @@ class CellRun(SetupObserver):
         setattr(self.record, field, {**(getattr(self.record, field) or {}), **facts})
         self.record.notes += notes
 
-    def doubt(self, doubts: Sequence[str]) -> None:
-        state_doubts(self.record, [*doubts, *self.record.doubts], None)
+    def doubt(self, doubts: Sequence[str], folder: Path | None = None) -> None:
+        state_doubts(self.record, [*doubts, *self.record.doubts], folder)
         self.record.has_doubts_of_its_own |= bool(doubts)
 
     def locate(self) -> tuple[Dataset, Skips]:
@@ -152,9 +152,7 @@ class CellRun(SetupObserver):
         self._warn_if_slow(ready.trainer)
         method = ready.trainer.method
         if not method.trains:
-            doubts = method.doubts(ready.scored)
-            state_doubts(self.record, [*doubts, *scene.doubts], scene.folder)
-            self.record.has_doubts_of_its_own |= bool(doubts)
+            self.doubt(method.doubts(ready.scored), scene.folder)
         for note in method.notes:
             self.progress.say(note)
         with self.phase("train"):

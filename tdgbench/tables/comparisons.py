@@ -28,7 +28,6 @@ from tdgbench.tables.verdicts import BETTER, NEVER, UNDECIDED, WORSE, load_margi
 EQUAL = "equal"  # beside the verdicts on published numbers
 COUNTED = (BETTER, WORSE, EQUAL, UNDECIDED)
 FEWEST_SEEDS = 3  # of bold type; of two, an interval is 13 standard errors wide on each side
-BUSY_MACHINE = "busy"  # beside the hardware of a cell that other work disturbed
 FEWEST_SCENES = 5  # of a test over scenes: with fewer, no outcome could be below 5 %
 
 
@@ -220,8 +219,9 @@ def _unlike(pair: MethodPair, main: pd.DataFrame, finished: Sequence[Cell]) -> s
     machines: dict[tuple[object, ...], set[tuple[str, ...]]] = {}
     for cell in finished:
         if method_label(cell.record, with_init=True) in pair:
-            found = machines.setdefault((*cell.dataset_and_scene, cell.record.seed), set())
-            found |= {cell.machine, (BUSY_MACHINE,)} if was_disturbed(cell.record) else {cell.machine}
+            place = (*cell.dataset_and_scene, cell.record.seed)
+            machines.setdefault(place, set()).add(cell.machine)
+            unlike |= {place} if was_disturbed(cell.record) else set()
     return unlike | {place for place, found in machines.items() if len(found) > 1}
 
 

@@ -63,8 +63,8 @@ def main_grid(
             cells = _cells(group, place, metrics, published)
             rows.append(GridRow(heads, cells, place, str(group["group"].iloc[0]), is_marked(group)))
     times = [TIMES] * bool(HOURS.name in metrics and main["value"][main["metric"] == HOURS.name].notna().any())
-    times += [GAUSSIANS_NOTE] * (GAUSSIANS.name in metrics)
-    lines = [*protocol_notes(main), *_number_notes(main), *times, *palette_notes(main), *notes]
+    counts = [GAUSSIANS_NOTE] * (GAUSSIANS.name in metrics)
+    lines = [*protocol_notes(main), *_number_notes(main), *times, *counts, *palette_notes(main), *notes]
     titles = [RANGE_TITLE if metric == RANGE else measure_of(metric).title for metric in metrics]
     return Grid(["data set", "scene", "method"], titles, rows, lines, metrics)
 

@@ -15,12 +15,12 @@ from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.grids import RANGE_TITLE, failed_metrics, reasons_for_na
-from tdgbench.tables.latex import setup_facts
 from tdgbench.tables.long_table import RANGE
 from tdgbench.tables.measures import ABLATION, HOURS, as_text, measure_of
 from tdgbench.tables.palette import MARK, with_mark
 from tdgbench.tables.readings import SHOWN, changes_as_text, widest_average, with_setup
-from tdgbench.tables.verdicts import load_margins, verdicts_in_words
+from tdgbench.tables.setup_notes import setup_facts
+from tdgbench.tables.verdicts import scores_of, verdicts_in_words
 from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
@@ -68,7 +68,7 @@ def show_tables(tables: Tables) -> None:
     show_doubts(doubts_of(tables.records))
     if tables.difference is not None:
         known = tables.difference["difference"].notna()
-        scores = int(tables.difference["metric"].isin(load_margins()).sum())
+        scores = len(scores_of(tables.difference))
         counted = (
             f"{int(known.sum())} of {len(known)} published numbers ({scores} scores, and {len(known) - scores} times, "
             "which get no verdict) have one of ours beside them"

@@ -179,14 +179,19 @@ def _unlike(metric: str, setup: str) -> ScoreVerdict | None:
     return ScoreVerdict(NEVER, load_margins()[metric], nan, nan, NEVER, f"{UNLIKE}: {setup}") if setup else None
 
 
+def scores_of(differences: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows of difference.csv whose metric has a margin."""
+    return differences[differences["metric"].isin(load_margins())]
+
+
 def comparable(differences: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of difference.csv that have a verdict: of the published setup, whose metric has a margin."""
-    return differences[differences["metric"].isin(load_margins()) & (differences["verdict"] != NEVER)]
+    return scores_of(differences).query("verdict != @NEVER")
 
 
 def unlike_published(differences: pd.DataFrame) -> pd.DataFrame:
     """Return the rows of difference.csv that are not judged, since our cells are of another setup."""
-    return differences[differences["metric"].isin(load_margins()) & (differences["verdict"] == NEVER)]
+    return scores_of(differences).query("verdict == @NEVER")
 
 
 def verdicts_in_words(judged: pd.DataFrame) -> str:

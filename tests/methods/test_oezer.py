@@ -11,6 +11,7 @@ import torch
 from methods.oezer import FULL_UPDATES, MOST_RAYS, POINTS_OF_RAY, RayCount
 from tdgbench.fields import Rays
 from tdgbench.training.loop import train
+from tests.helpers.exact import check_against_exact
 from tests.helpers.training import ready_to_train
 
 SIZE = ("budget.field.rays=128", "budget.field.samples=[16,16]", "budget.field.log2_rows=12")
@@ -122,10 +123,7 @@ def test_images_and_gradients_are_those_of_float64(trainers, name):
         loss = sum((image - pixels[one].to(dtype)).square().mean() for one, image in shown.images.items())
         loss.backward()
         results.append((loss.item(), {one: parameter.grad for one, parameter in field.named_parameters()}))
-    (single, gradients), (exact, exact_gradients) = results
-    assert single == pytest.approx(exact, rel=1e-4)
-    for one, gradient in gradients.items():
-        assert (gradient - exact_gradients[one]).norm() <= 3e-3 * exact_gradients[one].norm(), one
+    check_against_exact(results)
 
 
 def test_rates_end_at_the_authors_share_and_stay(small_gray_scene):

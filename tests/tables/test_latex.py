@@ -2,8 +2,7 @@ import re
 
 import pytest
 
-from tdgbench.cells.record import Record
-from tdgbench.tables.latex import escape, setup_notes, tabular
+from tdgbench.tables.latex import escape, tabular
 from tests.helpers.names import NAMES
 
 # What compiles in the text of a row: plain characters, escaped ones, and the commands that `escape` writes.
@@ -28,15 +27,3 @@ def test_every_name_compiles(name):
     assert plain.count("{") == plain.count("}") and end == r"\end{tabular}"
     assert below == rf"\multicolumn{{1}}{{p{{\linewidth}}}}{{{{\footnotesize\raggedright {escape(name)}\par}}}} \\"
     assert note.startswith("% ") and begin == r"\begin{tabular}{l}"
-
-
-def test_budgets_of_several_lengths_name_their_methods():
-    lengths = {"tdg": 1200, "msmg": 200}
-    records = [
-        Record(name, "folder", "attic", "colmap", 0, "", "", config={"budget": {"name": "demo", "iterations": n}})
-        for name, n in lengths.items()
-    ]
-    assert setup_notes(records, timed=False) == [
-        "seeds: 1; budget: demo, 1200 iterations (TDg) or 200 iterations (MSMG)"
-    ]
-    assert setup_notes(records[:1], timed=False) == ["seeds: 1; budget: demo, 1200 iterations"]

@@ -10,8 +10,8 @@ from omegaconf import OmegaConf
 
 from tdgbench.resources import conf_folder
 from tdgbench.tables.build import TableOptions, Tables, build_tables
-from tdgbench.tables.latex import setup_notes
 from tdgbench.tables.likeness import OWN, machine, machine_in_words, setups
+from tdgbench.tables.setup_notes import setup_notes
 from tdgbench.tables.tables_command import main
 from tests.helpers.records import record, write
 

@@ -87,8 +87,8 @@ BARELY_SEEN = ViewMetric(
     of_view=lambda shown: float(is_barely_seen(at_valid(shown.valid, shown.rendered.known_determinacy)).mean()),
 )  # fmt: skip
 PSNR_BARELY_SEEN = ViewMetric(
-    name="psnr_barely_seen", label="PSNR, barely seen", 
-        meaning="PSNR over all barely-seen pixels of the test views: each model's own, so it compares no methods",
+    name="psnr_barely_seen", label="PSNR, barely seen",
+    meaning="PSNR over all barely-seen pixels of the test views: each model's own, so it compares no methods",
     order=124, has_better_side=False, of_all_views=True, **IN_DB,
     needs="Gaussians, barely-seen pixels", of_view=lambda shown: psnr_where(shown, barely=True),
 )  # fmt: skip
