@@ -23,6 +23,7 @@ from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_dif
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.measures import RecordMeasure, measure_of
 from tdgbench.tables.results import Results, read_results
+from tdgbench.tables.setup_notes import setup_by_name
 from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.terminal import console, errors_in_one_line, say
 from tdgbench.text import one_line
@@ -139,6 +140,9 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
         what = in_brief(of_kind) if "" in scopes else ", ".join(sorted(scopes))
         kinds += [f"{kind} ({what})"] if of_kind else []
     found.append(f"what differs: {', '.join(kinds)}" if kinds else "settings, data, code and machine are the same")
+    of_both = [setup_by_name([getattr(pair, side).record for pair in pairs], timed=True) for side in ("a", "b")]
+    shared = [f"{name}: {value}" for name, value in of_both[0].items() if of_both[1].get(name) == value]
+    found += [f"the same in both: {'; '.join(shared)}"] * bool(shared)
     found.append("not checked here: whether the stored ground truth is the data's (tdgbench verify)")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
         if alone:

@@ -166,7 +166,7 @@ def comparison_grid(table: pd.DataFrame, said: Iterable[str] = ()) -> Grid:
         scene = f"{row['scene']} {MARK}" if row[IMAGES] else row["scene"]
         shown = {**row, "method": methods.label(row["method"]), "scene": scene}
         verdict = GridCell("", sort=row["verdict"], note=row["verdict"], verdict=row["verdict"])
-        seeds = GridCell(row["of_seeds"].replace(" ", ", "), sort=row["seeds"])
+        seeds = GridCell("seed " * (row["seeds"] == 1) + row["of_seeds"].replace(" ", ", "), sort=row["seeds"])
         names = (*(shown[head] for head in heads), name)
         cells = (seeds, *_number_cells(row, numbers), verdict)
         rows.append(GridRow(names, cells, (*place, row["metric"]), is_marked=bool(row[IMAGES])))

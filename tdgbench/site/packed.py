@@ -28,7 +28,7 @@ from tdgbench.tables import methods
 from tdgbench.tables.build import Tables, build_tables
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.grids import ERROR, SCENE_KEYS, main_grid
-from tdgbench.tables.long_table import method_label, metric_value, planned_iterations
+from tdgbench.tables.long_table import method_label, metric_value, planned_iterations, prior_in_words
 from tdgbench.tables.measures import AVERAGE, COLUMNS, OVERALL, is_of_training, measure_of, own_metrics
 from tdgbench.tables.overrides import training_in_words
 from tdgbench.tables.palette import image_values
@@ -176,6 +176,7 @@ class BoardRow:
                   for r in self.records}  # fmt: skip
         return {
             "seeds": str(len({record.seed for record in self.records})),
+            "test views": joined(str(record.views.get("test", "n/a")) for record in self.records),
             "iterations": joined(iterations_of(cell.record) for cell in self.cells),
             "size, px": joined(size_of(cell) for cell in self.cells),
             "range, °C": "several" if len(ranges) > 1 else ranges.pop(),
@@ -184,10 +185,7 @@ class BoardRow:
     @property
     def prior(self) -> str:
         """What its depth prior is made from if not from the thermal images alone, else its name."""
-        return joined(
-            f"made from {words}" if (words := record.prior_source.words) else str(record.setting("prior.name") or "")
-            for record in self.records
-        )
+        return joined(map(prior_in_words, self.records))
 
     @property
     def psnr_interval(self) -> tuple[float, float]:

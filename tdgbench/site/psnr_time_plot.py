@@ -37,28 +37,37 @@ def plots(rows: Sequence[BoardRow]) -> list[tuple[str, str]]:
     where = rows[0].scene if len(rows[0].scenes) == 1 else f"the mean of {', '.join(rows[0].scenes)}"
     return [
         (plot([(row.label, row.pack.name if columns[row.column] > 1 else "") for row in group],
-              *np.array([[row.scores[TIME].value * 3600, row.scores[PSNR].value, *row.psnr_interval]
-                         for row in group]).T),
+              *np.array([[row.scores[TIME].value * 3600, row.scores[TIME].std * 3600, row.scores[PSNR].value,
+                          *row.psnr_interval] for row in group]).T),
          f"{where}, on one machine ({machine_in_words(machine)})")
         for machine, group in by_machine.items() if len(group) > 1
     ]  # fmt: skip
 
 
 def plot(
-    names: Sequence[tuple[str, str]], seconds: np.ndarray, psnr: np.ndarray, low: np.ndarray, high: np.ndarray
+    names: Sequence[tuple[str, str]],
+    seconds: np.ndarray,
+    spread: np.ndarray,
+    psnr: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
 ) -> str:
     """Return points of PSNR (dB) against time on a logarithmic axis as SVG, the best one's name on top.
 
-    names: of each point, in two lines. low, high: ends of the intervals of PSNR, NaN without.
+    names: of each point, in two lines. spread: standard deviations of the times, s. low, high: ends of the intervals of
+    PSNR. NaN where there is none.
     """
     seconds = np.clip(seconds, *LIMITS[0])
+    spread = np.where(spread > 0, spread, 0.0)
+    first, last = (np.clip(ends, *LIMITS[0]) for ends in (seconds - spread, seconds + spread))
     psnr, low, high = (np.clip(np.where(np.isfinite(ends), ends, psnr), *LIMITS[1]) for ends in (psnr, low, high))
     lines = 1 + any(second for _, second in names)
     figure = Figure(figsize=(3.3, max(2.7, 0.5 + 0.2 * lines * len(names))))
     axes = figure.subplots()
     axes.set_xscale("log")
-    axes.set_xlim(seconds.min() / MARGIN, seconds.max() * MARGIN)
-    axes.errorbar(seconds, psnr, np.abs([low - psnr, high - psnr]), fmt="o", elinewidth=1, capsize=2)
+    axes.set_xlim(first.min() / MARGIN, last.max() * MARGIN)
+    of_psnr, of_time = np.abs([low - psnr, high - psnr]), np.abs([first - seconds, last - seconds])
+    axes.errorbar(seconds, psnr, of_psnr, of_time, fmt="o", elinewidth=1, capsize=2)
     middle, span = (low.min() + high.max()) / 2, high.max() - low.min()
     half = max(LEAST_SPAN, 1.2 * span) / 2
     axes.set_ylim(middle - half, middle + half)

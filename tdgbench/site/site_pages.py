@@ -116,6 +116,7 @@ class _Site:
             shown=SHOWN,
             mark=MARK,
             psnr=measure_of("psnr"),
+            margins=margins_in_words(),
             nothing=GridCell(),
         )
 
@@ -126,7 +127,6 @@ class _Site:
             scenes.setdefault(dataset, []).append(scene)
         files = {"index.html": self._page("index.html.j2", "", boards=boards_of(self.rows), packs=self.packs,
                                           legend=self._legend(), data={in_words(n): s for n, s in scenes.items()},
-                                          margins=margins_in_words(),
                                           equal=equal_data(self.packs).values())}  # fmt: skip
         for name in ("site.css", "site.js"):
             files[name] = self.environment.get_template(f"{name}.j2").render().encode()

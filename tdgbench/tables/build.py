@@ -34,7 +34,15 @@ from tdgbench.tables.likeness import (
     times_at_once,
     was_disturbed,
 )
-from tdgbench.tables.long_table import cell_rows, is_random, method_label, scene_rows, with_averages, with_protocols
+from tdgbench.tables.long_table import (
+    ABOUT,
+    cell_rows,
+    is_random,
+    method_label,
+    scene_rows,
+    with_averages,
+    with_protocols,
+)
 from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, HOURS, KEYS, OVERALL, further
 from tdgbench.tables.overrides import override_notes
 from tdgbench.tables.palette import IMAGES, with_image_values
@@ -46,8 +54,7 @@ from tdgbench.tables.verdicts import against_published
 
 INITS = ("random", "colmap")  # of the paper's Table 2
 CSV_COLUMNS = [
-    *KEYS, "value", "bold", "reason", "seeds", "std", "ci95_low", "ci95_high", "split", "protocol", "range_degC",
-    "training", IMAGES,
+    *KEYS, "value", "bold", "reason", "seeds", "std", "ci95_low", "ci95_high", *ABOUT, "training", IMAGES,
 ]  # fmt: skip
 COLUMN_OF = partial(method_label, with_init=True)
 

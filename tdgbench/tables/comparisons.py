@@ -28,6 +28,7 @@ from tdgbench.tables.verdicts import BETTER, NEVER, UNDECIDED, WORSE, load_margi
 EQUAL = "equal"  # beside the verdicts on published numbers
 COUNTED = (BETTER, WORSE, EQUAL, UNDECIDED)
 FEWEST_SEEDS = 3  # of bold type; of two, an interval is 13 standard errors wide on each side
+CHANGE_IS = {False: "difference", True: "ratio"}
 FEWEST_SCENES = 5  # of a test over scenes: with fewer, no outcome could be below 5 %
 
 
@@ -65,7 +66,8 @@ class Change(NamedTuple):
 class MethodComparison(NamedTuple):
     """A method against its baseline. paired: from `paired_tests`.
 
-    changes: KEYS but method, fields of Change, and why there is no common seed, where the verdict is n/a.
+    changes: KEYS but method, fields of Change with what `change` is, a reason where there is no common seed and the
+    verdict is n/a, and `image_values` of the method.
     """
 
     pair: MethodPair
@@ -166,7 +168,10 @@ def _compare(pair: MethodPair, cells: pd.DataFrame, main: pd.DataFrame, finished
     ]
     changes = pd.DataFrame(rows, columns=[*KEYS[1:], *Change._fields])
     reasons, is_none = main.set_index(KEYS)["reason"], changes["seeds"] == 0
-    changes["reason"] = ""
+    values = main[main["method"] == pair.method].set_index(KEYS[1:])[IMAGES]
+    changes = changes.assign(reason="", **{IMAGES: values.reindex(new.index).fillna("").to_numpy()})
+    kinds = [CHANGE_IS[measure_of(place[-1]).ratio] for place in new.index]
+    changes.insert(list(changes).index("change") + 1, "change_is", kinds)
     for row, place in zip(changes.index[is_none], new.index[is_none], strict=True):  # averages come after their scenes
         changes.loc[row, "reason"] = _why_none(pair, place, reasons, unlike, changes)
     changes.loc[is_none, "verdict"] = NEVER

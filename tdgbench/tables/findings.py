@@ -35,7 +35,7 @@ from tdgbench.tables.measures import (
 from tdgbench.tables.published import published_main
 from tdgbench.tables.readings import change_as_text, widest_average, with_setup
 from tdgbench.tables.seed_spreads import beyond_in_words, usual_spread
-from tdgbench.tables.statistics import with_interval
+from tdgbench.tables.statistics import telling_digits, with_interval
 from tdgbench.tables.verdicts import (
     NOT_REPRODUCED,
     ONE_SEED,
@@ -249,7 +249,8 @@ def _may_be_within_margin(row: Any) -> bool:
 def _change(row: Any) -> str:
     """Return both values, the change and, where it has an interval, its verdict. row: of a comparison's changes."""
     measure, values = measure_of(row.metric), (as_text(row.metric, value, row.scene) for value in (row.new, row.old))
-    form = ".2f" if measure.ratio else f"+.{digits(row.metric, row.scene)}f"
+    places = telling_digits(row.ci95_low, row.ci95_high, 2 if measure.ratio else digits(row.metric, row.scene))
+    form = f".{places}f" if measure.ratio else f"+.{places}f"
     change = f"× {row.change:{form}}" if measure.ratio else f"{row.change:{form}}{measure.suffix}"
     text = f"{measure.label} {' against '.join(values)}, "
     if not _has_interval(row):

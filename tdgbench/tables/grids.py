@@ -14,7 +14,7 @@ from tdgbench.scenes.registry import DATASETS
 from tdgbench.scoring.metric import FAILED
 from tdgbench.tables import methods
 from tdgbench.tables.comparisons import FEWEST_SEEDS, bold_note
-from tdgbench.tables.long_table import NO_RECORD, RANGE, initial_points, protocol_notes
+from tdgbench.tables.long_table import NO_RECORD, RANGE, initial_points, protocol_notes, split_notes
 from tdgbench.tables.measures import (
     ABLATION,
     AVERAGE,
@@ -64,9 +64,9 @@ def main_grid(
             rows.append(GridRow(heads, cells, place, str(group["group"].iloc[0]), is_marked(group)))
     times = [TIMES] * bool(HOURS.name in metrics and main["value"][main["metric"] == HOURS.name].notna().any())
     counts = [GAUSSIANS_NOTE] * (GAUSSIANS.name in metrics)
-    lines = [*protocol_notes(main), *_number_notes(main), *times, *counts, *palette_notes(main), *notes]
+    lines = [*split_notes(main), *protocol_notes(main), *_number_notes(main), *times, *counts, *palette_notes(main)]
     titles = [RANGE_TITLE if metric == RANGE else measure_of(metric).title for metric in metrics]
-    return Grid(["data set", "scene", "method"], titles, rows, lines, metrics)
+    return Grid(["data set", "scene", "method"], titles, rows, [*lines, *notes], metrics)
 
 
 def _usual_columns(main: pd.DataFrame) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 import pandas as pd
@@ -22,6 +23,7 @@ SPLITS = {
     "folder": "the shipped train/ and test/ folders, as both releases read them",
 }
 RANGE = "range_degC"  # column of main.csv
+ABOUT = ("split", "protocol", "iterations", "prior", "lpips_net", RANGE)  # columns of main.csv on the cells of a row
 NO_RECORD = "no cell here: not run or scored, or the scene is not on disk"
 
 
@@ -120,31 +122,45 @@ def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def with_protocols(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
-    """Return the rows with `split`, `protocol` (`a + b` for an average over both) and `range_degC` of their cells.
+    """Return the rows with ABOUT of their cells (`a + b` for an average over both).
 
-    range_degC: °C of image values 0 and 1, if all cells have one: PSNR is relative to it.
+    range_degC: °C of image values 0 and 1, if all cells have one: PSNR is relative to it. iterations: of the budget.
     """
 
-    def joined(name: str) -> Callable[[Sequence[Record]], str]:
-        return lambda cells: " + ".join(sorted({getattr(cell, name) for cell in cells}))
+    def joined(text: Callable[[Record], str]) -> Callable[[Sequence[Record]], str]:
+        return lambda cells: " + ".join(sorted({text(cell) for cell in cells} - {""}))
 
     def range_of(cells: Sequence[Record]) -> str:
         found = {" to ".join(f"{end:.4g}" for end in cell.temperature_range or ()) for cell in cells}
         return found.pop() if len(found) == 1 else ""
 
-    columns = {**{name: joined(name) for name in ("split", "protocol")}, RANGE: range_of}
+    texts: list[Callable[[Record], str]] = [
+        attrgetter("split"), attrgetter("protocol"), lambda cell: str(planned_iterations(cell)), prior_in_words,
+        lambda cell: "" if cell.scores.get("lpips") is None else str(cell.setting("metrics.lpips.net")),
+    ]  # fmt: skip
+    columns = dict(zip(ABOUT, [*map(joined, texts), range_of], strict=True))
     return with_text_of_cells(rows, records, columns, partial(method_label, with_init=True))
 
 
+def prior_in_words(record: Record) -> str:
+    """Return what a cell's depth prior is made from if not from the thermal images alone, else its name, if any."""
+    words = record.prior_source.words
+    return f"made from {words}" if words else str(record.setting("prior.name") or "")
+
+
+def split_notes(main: pd.DataFrame) -> list[str]:
+    """Return the test views of a main table in words, one line for each split."""
+    return [f"split {name}: {SPLITS.get(name, name)}" for name in dict.fromkeys(main["split"]) if name in SPLITS]
+
+
 def protocol_notes(main: pd.DataFrame) -> list[str]:
-    """Return the test views of a main table in words, one line for each split, and its protocols."""
-    splits = [f"split {name}: {SPLITS.get(name, name)}" for name in dict.fromkeys(main["split"]) if name in SPLITS]
+    """Return the protocols of a main table, in a line."""
     single = [name for name in dict.fromkeys(main["protocol"]) if name and " + " not in name]
     if len(single) < 2:
-        return [*splits, *(f"protocol {name}" for name in single)]
+        return [f"protocol {name}" for name in single]
     columns = {name: dict.fromkeys(main.loc[main["protocol"] == name, "method"]) for name in single}
     texts = (f"{name} ({', '.join(map(methods.label, of_name))})" for name, of_name in columns.items())
-    return [*splits, f"several protocols, whose scores do not compare: {'; '.join(texts)}"]
+    return [f"several protocols, whose scores do not compare: {'; '.join(texts)}"]
 
 
 def initial_points(ablation: pd.DataFrame) -> list[str]:

@@ -23,8 +23,14 @@ def setup_notes(records: Sequence[Record], timed: bool) -> list[str]:
 
 def setup_facts(records: Sequence[Record], timed: bool) -> list[str]:
     """Return a line with seeds, budget, images, LPIPS network and, of times, machine of cells; none without any."""
+    said = [f"{name}: {values}" for name, values in setup_by_name(records, timed).items()]
+    return ["; ".join(said)] if said else []
+
+
+def setup_by_name(records: Sequence[Record], timed: bool) -> dict[str, str]:
+    """Return `setup_facts` in words, by what they are of."""
     if not records:
-        return []
+        return {}
     seeds = Counter((method_label(one, with_init=True), one.dataset, one.scene) for one in records).values()
     facts = {
         "seeds": [" to ".join(map(str, sorted({min(seeds), max(seeds)})))],
@@ -42,8 +48,7 @@ def setup_facts(records: Sequence[Record], timed: bool) -> list[str]:
         ],
     }
     listed = {name: named(str(value) for value in values if value) for name, values in facts.items()}
-    said = [f"{name}: {values}" for name, values in listed.items() if values]
-    return ["; ".join(said)]
+    return {name: values for name, values in listed.items() if values}
 
 
 def _budgets(records: Sequence[Record]) -> list[str]:

@@ -10,6 +10,8 @@ import pandas as pd
 from rich.table import Column, Table
 from rich.text import Text
 
+from tdgbench.present.grid import GridCell
+from tdgbench.scoring import METRICS
 from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, JudgedClaim
@@ -25,6 +27,14 @@ from tdgbench.terminal import console, say
 from tdgbench.text import one_line
 
 MOST_DOUBTS = 12
+HOW_TO_READ = (
+    "change: of a cell's score, from the convention of its record to this one. reversed pairs: two cells of one scene "
+    "and seed, of which the other is better now; n seeds make n pairs. other best: in so many scenes and seeds another "
+    "cell is the best. Both count any change, however small. ranks agree: mean over scenes and seeds with three cells "
+    "or more, else n/a"
+)
+BOLD = "*"  # marks bold type where there is no terminal
+WIDEST_HEAD = 16  # characters of a heading in one line
 PROSE = 60  # characters of a column of sentences where there is no terminal, and so no width to share
 
 
@@ -62,7 +72,10 @@ def show_tables(tables: Tables) -> None:
         shown = [*tables.grid.names, *([] if tables.is_ablation else failed_metrics(tables.main))]
         finished = [cell.record for cell in tables.results.finished]
         timed = HOURS.name in tables.grid.names
-        for note in (*tables.grid.notes, *reasons_for_na(tables.main, shown), *setup_facts(finished, timed)):
+        if tables.main["bold"].any() and not console().is_terminal:
+            say(f"{BOLD}: bold type, which this output has not")
+        notes = *tables.grid.notes, *_beside(tables.grid.names), *reasons_for_na(tables.main, shown)
+        for note in (*notes, *setup_facts(finished, timed)):
             say(one_line(note))
     show_problems(tables.problems)
     show_doubts(doubts_of(tables.records))
@@ -106,6 +119,7 @@ def show_sensitivity(sensitivity: pd.DataFrame) -> None:
     heads = ["score", "convention", "change: mean", "largest", "reversed pairs", "other best", "ranks agree (Spearman)"]
     show_table(pd.DataFrame(rows, columns=heads))
     of_some = np.where(sensitivity["cells"] > 0, " in some cells", "")
+    say(HOW_TO_READ)
     for reason in ("n/a" + of_some + ": " + sensitivity["reason"])[sensitivity["reason"] != ""].unique():
         say(one_line(reason))
 
@@ -133,24 +147,35 @@ def _show_main(tables: Tables) -> None:
     """Print the main table: methods of a scene together, under the scene's name."""
     grid, table = tables.grid, Table("scene", "method")
     for name in grid.names:
-        table.add_column(RANGE_TITLE if name == RANGE else measure_of(name).column, justify="right")
+        head = RANGE_TITLE if name == RANGE else measure_of(name).column
+        table.add_column(head if len(head) < WIDEST_HEAD else head.replace(" ", "\n", 1), justify="right")
     for (_, scene), group in groupby(grid.rows, key=lambda row: row.place[:2]):
         rows = list(group)
         title = f"{scene} {MARK}" if any(row.is_marked for row in rows) else scene
         for row in rows:
-            named = list(zip(grid.names, row.cells, strict=True))
-            numbers = (Text(cell.mean if name == HOURS.name else cell.text, "bold" if cell.bold else "")
-                       for name, cell in named)  # fmt: skip
-            table.add_row(_name(title), _name(row.heads[2]), *numbers, end_section=row is rows[-1])
+            table.add_row(_name(title), _name(row.heads[2]), *map(_number, row.cells), end_section=row is rows[-1])
             title = ""
     console().print(table)
+
+
+def _number(cell: GridCell) -> Text:
+    """Return a number; bold type needs a terminal."""
+    return Text(cell.text + f" {BOLD}" * (cell.bold and not console().is_terminal), "bold" if cell.bold else "")
+
+
+def _beside(names: Iterable[str]) -> list[str]:
+    """Return what the shown columns mean that stand beside a score."""
+    shown = [measure_of(name) for name in names if name in METRICS and METRICS[name].beside]
+    return [f"{measure.label}: {measure.meaning}" for measure in shown]
 
 
 def _show_ablation(tables: Tables) -> None:
     described = [measure_of(metric) for metric in ABLATION]
     heads = (metric.column + (f", {metric.images}" if metric.images else "") for metric in described)
-    rows = [[*row.heads, *(cell.mean for cell in row.cells)] for row in tables.grid.rows]
-    show_table(pd.DataFrame(rows, columns=["method", "initial points", *heads]))
+    table = Table("method", "initial points", *heads)
+    for row in tables.grid.rows:
+        table.add_row(*map(_name, row.heads), *map(_number, row.cells))
+    console().print(table)
 
 
 def _show_readings(readings: pd.DataFrame, effects: pd.DataFrame) -> None:

@@ -47,6 +47,15 @@ def with_interval(text: str, low: float, high: float, form: str) -> str:
     return text if np.isnan(low) else f"{text} ({low:{form}} to {high:{form}})"
 
 
+def telling_digits(low: float, high: float, digits: int) -> int:
+    """Return digits that tell the ends of an interval apart, at most two more than usual.
+
+    >>> telling_digits(0.0006, 0.0014, 3), telling_digits(-0.3, 0.4, 2)
+    (4, 2)
+    """
+    return next((d for d in range(digits, digits + 3) if f"{low:.{d}f}" != f"{high:.{d}f}"), digits)
+
+
 def seed_values(cells: pd.DataFrame) -> pd.DataFrame:
     """Return the values of `cell_rows` by seed: a column for each seed, a row for each KEYS, averages included.
 

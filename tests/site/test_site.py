@@ -102,10 +102,10 @@ def test_every_number_is_that_of_the_records(small_results, packed, tmp_path):
     for record in records:
         scene = {"orbit": "orbit †"}.get(record.scene, record.scene)  # in a palette
         method = {"tdg": "TDg prior made from true depth"}.get(record.method, labels[record.method])
-        *numbers, seeds, iterations, size, ranges, name = rows.pop((method, scene))
+        *numbers, seeds, views, iterations, size, ranges, name = rows.pop((method, scene))
         values = [metric_value(record, metric)[0] for metric in SCORES]
         expected = ["n/a" if np.isnan(v) else as_text(m, v) for m, v in zip(SCORES, values, strict=True)]
-        assert all(map(str.startswith, numbers, expected)) and (seeds, name) == ("1", "small.zip")
+        assert all(map(str.startswith, numbers, expected)) and (seeds, views, name) == ("1", str(record.views["test"]), "small.zip")
         assert re.fullmatch(r"[\d.]+ [\d.]+ to [\d.]+", numbers[0])  # with the interval
         assert iterations == str(record.setting("budget.iterations"))
         assert re.fullmatch(r"\d+×\d+", size) and (ranges == "n/a") == (record.temperature_range is None)

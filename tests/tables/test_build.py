@@ -93,7 +93,7 @@ def test_both_splits_in_one_sweep_are_told_apart(tmp_path):
     Plan("main", variant_keys=["data.split"]).write(tmp_path)
     tables = build_tables(tmp_path)
     assert set(tables.main["split"]) == {"eighty_twenty", "folder"}
-    assert "% split folder: the shipped train/ and test/ folders" in tables.latex
+    assert "split folder: the shipped train/ and test/ folders" in tables.latex
     assert not any(method == "tdg" for method in tables.main["method"])
     written = pd.read_csv(tmp_path / "tables" / "main.csv", keep_default_na=False)
     assert set(written["split"]) == {"eighty_twenty", "folder"}
