@@ -22,7 +22,7 @@ from tdgbench.view.session import Session, Shown, Wanted
 
 FIRST_PORT, LAST_PORT = 8080, 8180  # where a free one is looked for
 TARGET_SECONDS = 1 / 24  # per picture of a moving camera
-SMALLEST = 0.25  # of the full size
+SMALLEST = 0.05  # of the full size; radiance fields need it
 LARGEST_STEP = 1.5  # by which the size changes from one picture to the next
 MIN_SIDE = 16  # px
 
