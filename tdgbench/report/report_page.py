@@ -15,19 +15,20 @@ from tdgbench.files import write_text
 from tdgbench.present.html import STEPS, embedded, environment
 from tdgbench.present.strip import place_name
 from tdgbench.report.panels import line_colours
-from tdgbench.report.run_facts import cell_title, run_facts
+from tdgbench.report.run_facts import run_facts
 from tdgbench.report.scene_section import scene_section
+from tdgbench.scenes.registry import LABELS
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.grids import further_grid, reasons_for_na
-from tdgbench.tables.latex import LABELS
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import MAIN_COLUMNS, digits, known_measures, measure_of
 from tdgbench.tables.palette import palette_notes
 from tdgbench.tables.readings import changes_as_text
 from tdgbench.tables.results import Cell, Results
+from tdgbench.tables.setup_notes import cell_title
 from tdgbench.tables.verdicts import comparable, load_margins, verdicts_in_words
 from tdgbench.text import named
 

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from tdgbench import __version__
 from tdgbench.bench.commit import commit_in_words
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import READ_PHASE, Record
-from tdgbench.tables import methods
-from tdgbench.tables.latex import LABELS
 from tdgbench.tables.likeness import version
-from tdgbench.tables.long_table import SPLITS, method_label, planned_iterations
-from tdgbench.text import named
+from tdgbench.tables.long_table import SPLITS, planned_iterations
+from tdgbench.tables.setup_notes import Fact, method_on_scene, planned_budget, said
 
-Fact = Callable[[Record], str]
 NOT_STATED = "not stated by the version that ran it"
 
 
@@ -30,73 +27,27 @@ def run_facts(plan: Plan, records: Sequence[Record]) -> list[tuple[str, list[str
     ]
 
 
-def said(fact: Fact, records: Sequence[Record]) -> list[str]:
-    """Return what records say of a fact; with the methods, scenes or cells that say it, where not all agree.
-
-    >>> cells = [Record(name, "", "a", "colmap", 0, "", "", backend=name[0]) for name in ("tdg", "msmg", "mmone")]
-    >>> said(lambda record: record.backend, cells)
-    ['t (TDg)', 'm (MSMG, MMOne)']
-    """
-    groups: dict[str, list[Record]] = {}
-    for record in records:
-        groups.setdefault(fact(record), []).append(record)
-    if len(groups) == 1:
-        return list(groups)
-    for name in (_method, _scene, _method_on_scene, cell_title):
-        names = [dict.fromkeys(map(name, group)) for group in groups.values()]
-        if sum(map(len, names)) == len({one for group in names for one in group}):  # no name says two things
-            break
-    return [f"{text} ({named(group)})" for text, group in zip(groups, names, strict=True)]
-
-
-def _method(record: Record) -> str:
-    return methods.label(method_label(record, with_init=True))
-
-
-def _scene(record: Record) -> str:
-    return LABELS.get(record.scene, record.scene)
-
-
-def _method_on_scene(record: Record) -> str:
-    return f"{_method(record)} on {_scene(record)}"
-
-
-def cell_title(record: Record) -> str:
-    """Return a cell's name as readers see it.
-
-    >>> cell_title(Record("tdg", "paper", "Truck", "random", 1, "", ""))
-    'TDg (random) on Truck, seed 1'
-    """
-    return f"{_method_on_scene(record)}, seed {record.seed}"
-
-
 def _seeds(records: Sequence[Record]) -> Fact:
     """Return what tells all seeds of a record's method on its scene."""
     seeds: dict[str, set[int]] = {}
     for record in records:
-        seeds.setdefault(_method_on_scene(record), set()).add(record.seed)
-    return lambda record: ", ".join(map(str, sorted(seeds[_method_on_scene(record)])))
+        seeds.setdefault(method_on_scene(record), set()).add(record.seed)
+    return lambda record: ", ".join(map(str, sorted(seeds[method_on_scene(record)])))
 
 
 def _budgets(records: Sequence[Record]) -> Fact:
     """Return what tells a record's budget, and when the trainings with this budget ended."""
     ends: dict[str, set[int]] = {}
     for record in records:
-        ends.setdefault(_planned(record), set()).add(record.iterations)
+        ends.setdefault(planned_budget(record), set()).add(record.iterations)
 
     def budget(record: Record) -> str:
-        first, last = min(ends[_planned(record)]), max(ends[_planned(record)])
+        first, last = min(ends[planned_budget(record)]), max(ends[planned_budget(record)])
         if record.made_elsewhere is not None or first == last == planned_iterations(record):
-            return _planned(record)
-        return f"{_planned(record)}; ended after {f'{first} to ' * (first < last)}{last}"
+            return planned_budget(record)
+        return f"{planned_budget(record)}; ended after {f'{first} to ' * (first < last)}{last}"
 
     return budget
-
-
-def _planned(record: Record) -> str:
-    if record.made_elsewhere is not None:
-        return "trained elsewhere"
-    return f"{record.setting('budget.name') or 'unnamed'}, at most {planned_iterations(record)} iterations"
 
 
 def _machine(record: Record) -> str:

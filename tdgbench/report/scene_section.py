@@ -16,14 +16,14 @@ from tdgbench.present.colours import GUESSED, LEVELS, THERMAL, UNKNOWN, colored,
 from tdgbench.present.html import filter_tables
 from tdgbench.present.view_pictures import DEPTH, ERROR, middle_view, rendered_depth, scale_of
 from tdgbench.report.panels import curve_panels, error_panel, line_colours, settling_panel
-from tdgbench.report.run_facts import cell_title
+from tdgbench.scenes.registry import LABELS
 from tdgbench.scoring.metrics.seen_pixels import is_barely_seen
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows
-from tdgbench.tables.latex import LABELS
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import measure_of
 from tdgbench.tables.results import Cell
+from tdgbench.tables.setup_notes import cell_title
 
 
 @dataclass

@@ -80,6 +80,7 @@ SCENES = tuple(
         ("Face", "thermalmix", "forward", "Face", ("Faces",)),
     ]
 )
+LABELS = {scene.name: scene.label for scene in SCENES}
 
 
 BUILT_IN, BUILT_IN_DEGC = "synthetic", "synthetic_degC"  # titles of the generated scenes' data sets

@@ -12,7 +12,7 @@ import pandas as pd
 
 from tdgbench.cells.record import Record
 from tdgbench.present.grid import Grid, GridCell, GridRow
-from tdgbench.scenes.registry import GROUPS, SCENES, is_built_in
+from tdgbench.scenes.registry import GROUPS, LABELS, is_built_in
 from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
 from tdgbench.tables.grids import ERROR, reasons_for_na
@@ -28,7 +28,6 @@ from tdgbench.tables.palette import MARK
 from tdgbench.tables.setup_notes import setup_notes
 from tdgbench.text import one_line
 
-LABELS = {scene.name: scene.label for scene in SCENES}
 ESCAPES = {
     **{c: f"\\{c}" for c in "&%$#_{}"},
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}",

@@ -105,7 +105,11 @@ def test_every_number_is_that_of_the_records(small_results, packed, tmp_path):
         *numbers, seeds, views, iterations, size, ranges, name = rows.pop((method, scene))
         values = [metric_value(record, metric)[0] for metric in SCORES]
         expected = ["n/a" if np.isnan(v) else as_text(m, v) for m, v in zip(SCORES, values, strict=True)]
-        assert all(map(str.startswith, numbers, expected)) and (seeds, views, name) == ("1", str(record.views["test"]), "small.zip")
+        assert all(map(str.startswith, numbers, expected)) and (seeds, views, name) == (
+            "1",
+            str(record.views["test"]),
+            "small.zip",
+        )
         assert re.fullmatch(r"[\d.]+ [\d.]+ to [\d.]+", numbers[0])  # with the interval
         assert iterations == str(record.setting("budget.iterations"))
         assert re.fullmatch(r"\d+×\d+", size) and (ranges == "n/a") == (record.temperature_range is None)

@@ -9,7 +9,7 @@ def test_budgets_of_several_lengths_name_their_methods():
         for name, n in lengths.items()
     ]
     assert setup_notes(records, timed=False) == [
-        "seeds: 1; budget: demo, 1200 iterations (TDg) or 200 iterations (MSMG)"
+        "seeds: 1; budget: demo, at most 1200 iterations (TDg), demo, at most 200 iterations (MSMG)"
     ]
     assert setup_notes(records[:1], timed=False) == ["seeds: 1; budget: demo, 1200 iterations"]
 
