@@ -11,7 +11,7 @@ def test_budgets_of_several_lengths_name_their_methods():
     assert setup_notes(records, timed=False) == [
         "seeds: 1; budget: demo, at most 1200 iterations (TDg), demo, at most 200 iterations (MSMG)"
     ]
-    assert setup_notes(records[:1], timed=False) == ["seeds: 1; budget: demo, 1200 iterations"]
+    assert setup_notes(records[:1], timed=False) == ["seeds: 1; budget: demo, at most 1200 iterations"]
 
 
 def test_nothing_is_said_without_cells():
