@@ -10,8 +10,8 @@ from tdgbench.bench.commit import commit_in_words
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import READ_PHASE, Record
 from tdgbench.tables.likeness import version
-from tdgbench.tables.long_table import SPLITS, planned_iterations
-from tdgbench.tables.setup_notes import Fact, method_on_scene, planned_budget, said
+from tdgbench.tables.long_table import SPLITS
+from tdgbench.tables.setup_notes import Fact, budgets, method_on_scene, said
 
 NOT_STATED = "not stated by the version that ran it"
 
@@ -19,7 +19,7 @@ NOT_STATED = "not stated by the version that ran it"
 def run_facts(plan: Plan, records: Sequence[Record]) -> list[tuple[str, list[str]]]:
     """Return titles and texts on finished cells: one text, or one for each value, with the cells that have it."""
     commands = [f"{one.words} ({one.date})" for one in plan.commands]
-    facts = {"budget": _budgets(records), "seeds": _seeds(records), **FACTS}
+    facts = {"budget": budgets(records), "seeds": _seeds(records), **FACTS}
     return [
         ("commands" if len(commands) > 1 else "command", commands or [NOT_STATED]),
         *((title, said(fact, records)) for title, fact in facts.items() if records),
@@ -33,21 +33,6 @@ def _seeds(records: Sequence[Record]) -> Fact:
     for record in records:
         seeds.setdefault(method_on_scene(record), set()).add(record.seed)
     return lambda record: ", ".join(map(str, sorted(seeds[method_on_scene(record)])))
-
-
-def _budgets(records: Sequence[Record]) -> Fact:
-    """Return what tells a record's budget, and when the trainings with this budget ended."""
-    ends: dict[str, set[int]] = {}
-    for record in records:
-        ends.setdefault(planned_budget(record), set()).add(record.iterations)
-
-    def budget(record: Record) -> str:
-        first, last = min(ends[planned_budget(record)]), max(ends[planned_budget(record)])
-        if record.made_elsewhere is not None or first == last == planned_iterations(record):
-            return planned_budget(record)
-        return f"{planned_budget(record)}; ended after {f'{first} to ' * (first < last)}{last}"
-
-    return budget
 
 
 def _machine(record: Record) -> str:

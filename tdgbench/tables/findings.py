@@ -190,8 +190,27 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
         return
     where = f"on average over {len(compared)} scenes" if several else f"on {compared['scene'].iloc[0]}"
     of_scenes = main.merge(place[["dataset", "scene"]].drop_duplicates() if not several else compared)
-    grounds = [*_range(scenes) * several, *_certainty(place, of_scenes), *times, *_published_time(pair, scenes), *notes]
+    grounds = [
+        *_range(scenes) * several,
+        *_lengths(pair, records),
+        *_certainty(place, of_scenes),
+        *times,
+        *_published_time(pair, scenes),
+        *notes,
+    ]
     yield f"{title} {where}: {'; '.join([*map(_change, place.itertuples()), *grounds])}"
+
+
+def _lengths(pair: methods.MethodPair, records: Sequence[Record]) -> list[str]:
+    """Return after how many iterations the trainings of a pair ended, in a list; empty where all have the same."""
+    found = [
+        {one.iterations for one in records if method_label(one, with_init=True) == column and not one.made_elsewhere}
+        for column in pair
+    ]
+    if not all(found) or len(set().union(*found)) == 1:
+        return []
+    ends = [" to ".join(dict.fromkeys((str(min(each)), str(max(each))))) for each in found]
+    return [f"trainings ended after {' against '.join(ends)} iterations"]
 
 
 def _range(scenes: pd.DataFrame) -> list[str]:

@@ -37,7 +37,7 @@ def setup_by_name(records: Sequence[Record], timed: bool) -> dict[str, str]:
     seeds = Counter((method_label(one, with_init=True), one.dataset, one.scene) for one in records).values()
     facts = {
         "seeds": [" to ".join(map(str, sorted({min(seeds), max(seeds)})))],
-        "budget": said(planned_budget, records),
+        "budget": said(budgets(records), records),
         "images": [
             f"{one.assumed['size']}, {one.views['test']} test views"
             for one in records
@@ -54,8 +54,22 @@ def setup_by_name(records: Sequence[Record], timed: bool) -> dict[str, str]:
     return {name: values for name, values in listed.items() if values}
 
 
-def planned_budget(record: Record) -> str:
-    """Return a cell's budget with its iterations, in words."""
+def budgets(records: Sequence[Record]) -> Fact:
+    """Return what tells a record's budget, and when the trainings with this budget ended."""
+    ends: dict[str, set[int]] = {}
+    for record in records:
+        ends.setdefault(_planned(record), set()).add(record.iterations)
+
+    def budget(record: Record) -> str:
+        first, last = min(ends[_planned(record)]), max(ends[_planned(record)])
+        if record.made_elsewhere is not None or first == last == planned_iterations(record):
+            return _planned(record)
+        return f"{_planned(record)}; ended after {f'{first} to ' * (first < last)}{last}"
+
+    return budget
+
+
+def _planned(record: Record) -> str:
     if record.made_elsewhere is not None:
         return "trained elsewhere"
     return f"{record.setting('budget.name') or 'unnamed'}, at most {planned_iterations(record)} iterations"

@@ -1,17 +1,27 @@
+from dataclasses import replace
+
 from tdgbench.cells.record import Record
 from tdgbench.tables.setup_notes import setup_facts, setup_notes
 
 
+def record(method, length, seed=0):
+    config = {"budget": {"name": "demo", "iterations": length}}
+    return Record(method, "folder", "attic", "colmap", seed, "", "", config=config, iterations=length)
+
+
 def test_budgets_of_several_lengths_name_their_methods():
-    lengths = {"tdg": 1200, "msmg": 200}
-    records = [
-        Record(name, "folder", "attic", "colmap", 0, "", "", config={"budget": {"name": "demo", "iterations": n}})
-        for name, n in lengths.items()
-    ]
-    assert setup_notes(records, timed=False) == [
+    both = [record("tdg", 1200), record("msmg", 200)]
+    assert setup_notes(both, timed=False) == [
         "seeds: 1; budget: demo, at most 1200 iterations (TDg), demo, at most 200 iterations (MSMG)"
     ]
-    assert setup_notes(records[:1], timed=False) == ["seeds: 1; budget: demo, at most 1200 iterations"]
+    assert setup_notes(both[:1], timed=False) == ["seeds: 1; budget: demo, at most 1200 iterations"]
+
+
+def test_when_trainings_ended_is_told():
+    stopped = [record("tdg", 1200), replace(record("tdg", 1200, seed=1), iterations=800)]
+    assert setup_notes(stopped, timed=False) == [
+        "seeds: 2; budget: demo, at most 1200 iterations; ended after 800 to 1200"
+    ]
 
 
 def test_nothing_is_said_without_cells():
