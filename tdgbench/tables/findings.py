@@ -204,7 +204,11 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
 def _lengths(pair: methods.MethodPair, records: Sequence[Record]) -> list[str]:
     """Return after how many iterations the trainings of a pair ended, in a list; empty where all have the same."""
     found = [
-        {one.iterations for one in records if method_label(one, with_init=True) == column and not one.made_elsewhere}
+        {
+            one.iterations
+            for one in records
+            if method_label(one, with_init=True) == column and one.made_elsewhere is None
+        }
         for column in pair
     ]
     if not all(found) or len(set().union(*found)) == 1:
