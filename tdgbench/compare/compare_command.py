@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from tdgbench.compare import compared_cells as compared
-from tdgbench.compare.causes import KINDS, MACHINE, TRAINING, Cause, find_causes, in_brief
+from tdgbench.compare.causes import KINDS, MACHINE, PROTOCOL, TRAINING, Cause, find_causes, in_brief
 from tdgbench.compare.compared_cells import FIRST, IDENTICAL, NOT_COMPARED, ONE_TRAINING, TWO_PROTOCOLS
 from tdgbench.compare.comparison_page import write_page
 from tdgbench.compare.pairs import Pairs, find_pairs, place_of
@@ -132,6 +132,9 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
         some = "" if once == len(pairs) else f" in {once} of {len(pairs)} cells"
         found.append(f"{ONE_TRAINING}{some}: models, renders and logs of A and B are equal (scored again, or copied), "
                      "so there is no repeat and no second time")  # fmt: skip
+    if any(pair.has_changed_scores for pair in pairs) and not any(cause.kind == PROTOCOL for cause in causes):
+        found.append("a record was changed: renders, ground truth and protocol are equal, PSNR is not; run tdgbench "
+                     "verify on both")  # fmt: skip
     found += _of_times(causes)
     kinds = []
     for kind in KINDS:
@@ -142,7 +145,7 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     found.append(f"what differs: {', '.join(kinds)}" if kinds else "settings, data, code and machine are the same")
     of_both = [setup_by_name([getattr(pair, side).record for pair in pairs], timed=True) for side in ("a", "b")]
     shared = [f"{name}: {value}" for name, value in of_both[0].items() if of_both[1].get(name) == value]
-    found += [f"the same in both: {'; '.join(shared)}"] * bool(shared)
+    found += [f"the same in both, of the cells that are compared: {'; '.join(shared)}"] * bool(shared)
     found.append("not checked here: whether the stored ground truth is the data's (tdgbench verify)")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
         if alone:

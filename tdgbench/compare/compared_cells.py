@@ -19,6 +19,7 @@ from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
 from tdgbench.tables.comparisons import margins_in_words
+from tdgbench.tables.likeness import was_disturbed
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import COLUMNS as OF_TABLES
 from tdgbench.tables.measures import GAUSSIANS, HOURS, RecordMeasure, as_text, known_measures, measure_of
@@ -88,7 +89,10 @@ def _why_not_compared(metric: str, place: Place, by_seed: Mapping[int, ComparedC
         why = next((one_line(why) for why in seeds.values() if why), "not recorded")
         return f"{'A and B have' if len(lacking) > 1 else f'{min(lacking)} has'} none{some}: {why}"
     if isinstance(measure_of(metric), RecordMeasure):
-        return ONE_TRAINING if any(pair.is_one_training for pair in by_seed.values()) else ""
+        if any(pair.is_one_training for pair in by_seed.values()):
+            return ONE_TRAINING
+        is_busy = any(was_disturbed(cell.record) for pair in by_seed.values() for cell in pair)
+        return "times of a busy machine" if metric == HOURS.name and is_busy else ""
     unlike = [cause.change for cause in causes if place in cause.places and metric in cause.scores]
     return f"{TWO_PROTOCOLS} ({'; '.join(unlike)})" if unlike else ""
 
@@ -261,7 +265,7 @@ def _verdicts_of(measure: Measure, group: pd.DataFrame, pairs: Pairs, places: st
         text += f"; B − A {difference_as_text(measure.name, found.mean)}{measure.suffix}"
         text += " on average" if len(compared) > 1 else ""
         if np.isnan(found.low):
-            text += ", by one seed, which shows no difference"
+            text += f", by {'one seed' if len(by_place[0]) == 1 else 'the one seed that all have'}: it decides nothing"
         else:
             zero = ", which contains zero" if found.low <= 0 <= found.high else ""
             text += f", 90 % interval {interval_as_text(measure.name, found.low, found.high)}{zero}"

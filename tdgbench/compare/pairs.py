@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import NamedTuple
 
+from tdgbench.cells.folder import hashes_of_content
 from tdgbench.cells.paths import VIEWS_FILE
 from tdgbench.cells.record import Record
+from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.results import Cell
 
 PLACE = ["dataset", "scene", "method", "init", "variant"]
@@ -25,6 +27,13 @@ class ComparedCell(NamedTuple):
         """Whether all files but the scores are equal, the log with its times among them: `score` and copies do that."""
         a, b = ({**cell.record.hashes, VIEWS_FILE: ""} for cell in self)
         return a == b and len(a) > 1
+
+    @property
+    def has_changed_scores(self) -> bool:
+        """Whether equal pictures of renders and ground truth have two values of PSNR."""
+        a, b = ({**hashes_of_content(cell.record.hashes), VIEWS_FILE: ""} for cell in self)
+        values = [metric_value(cell.record, "psnr")[0] for cell in self]
+        return a == b and len(a) > 1 and round(values[0], 6) != round(values[1], 6)
 
 
 @dataclass(frozen=True)

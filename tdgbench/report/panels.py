@@ -100,7 +100,7 @@ def error_panel(
     levels = np.arange(-255, 256)
     widest = max(_within(counts, levels, 0.995) for counts in errors.values())
     per_bin = -(-(2 * widest + 1) // BINS) // 2 * 2 + 1  # odd, so that all bins hold equally many levels
-    figure, axes = _panel("errors, share of the pixels (log)", "render − ground truth, °C")
+    figure, axes = _panel("99.5 % of the errors, share of the pixels (log)", "render − ground truth, °C")
     rows = []
     for (label, counts), colour in zip(errors.items(), colours, strict=True):
         bins = np.round(levels / per_bin).astype(int)
@@ -112,9 +112,10 @@ def error_panel(
         digits = max(0, int(np.ceil(-np.log10(max(step, 1e-9)))))
         ends = [_within(counts, levels, share) * step for share in SHARES]
         within = (f"{end:.{digits}f}" if end else f"< {10.0**-digits:g}" for end in ends)
-        rows.append([label, *within, f"{round(mean, digits + 1) + 0.0:+.{digits + 1}f}"])
+        largest = np.abs(levels[counts > 0]).max() * step
+        rows.append([label, *within, f"{largest:.{digits}f}", f"{round(mean, digits + 1) + 0.0:+.{digits + 1}f}"])
     axes.set_yscale("log")
-    heads = ["method", *(f"{100 * share:.0f} % within ±, °C" for share in SHARES), "mean, °C"]
+    heads = ["method", *(f"{100 * share:.0f} % within ±, °C" for share in SHARES), "largest, °C", "mean, °C"]
     return {"svg": _as_svg(figure, axes), "heads": heads, "rows": rows, "step": f"{step:.1g} °C"}
 
 

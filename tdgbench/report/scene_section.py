@@ -20,6 +20,7 @@ from tdgbench.scenes.registry import LABELS
 from tdgbench.scoring.metrics.seen_pixels import is_barely_seen
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows
+from tdgbench.tables.likeness import was_disturbed
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import measure_of
 from tdgbench.tables.results import Cell
@@ -73,6 +74,7 @@ def scene_section(
         "assumed": assumed_rows([(cell.label, cell.record) for cell in cells]),
         "masked": masked_in_words(record.masked),
         "curves": curve_panels(cells, colours, problems),
+        "busy": any(was_disturbed(cell.record) for cell in cells),
         "settling": settling_panel(cells, colours),
         "problems": problems,
     }

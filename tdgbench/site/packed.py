@@ -28,7 +28,7 @@ from tdgbench.tables import methods
 from tdgbench.tables.build import Tables, build_tables
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.grids import ERROR, SCENE_KEYS, main_grid
-from tdgbench.tables.long_table import method_label, metric_value, planned_iterations, prior_in_words
+from tdgbench.tables.long_table import iterations_in_words, method_label, metric_value, prior_in_words
 from tdgbench.tables.measures import AVERAGE, COLUMNS, OVERALL, is_of_training, measure_of, own_metrics
 from tdgbench.tables.overrides import training_in_words
 from tdgbench.tables.palette import image_values
@@ -148,17 +148,17 @@ class BoardRow:
     def rank(self) -> str:
         return "–" if self.ranks is None else "–".join(dict.fromkeys(map(str, self.ranks)))
 
+    @cached_property
+    def psnr_by_content(self) -> dict[str, str]:
+        """PSNR of its cells by what they share with equal ones, whatever else these are scored by: files but tables."""
+        found = [(hashes_of_content(one.hashes), metric_value(one, "psnr")[0]) for one in self.records]
+        texts = ((json.dumps({**hashes, VIEWS_FILE: ""}, sort_keys=True), psnr) for hashes, psnr in found if hashes)
+        return {text: f"{psnr:.6f}" for text, psnr in texts}
+
     @property
     def content(self) -> frozenset[str]:
-        """What its cells share with equal ones, whatever else they are scored by: PSNR and files but tables."""
-        found = [
-            (
-                round(metric_value(one, "psnr")[0], 6),
-                {n: h for n, h in hashes_of_content(one.hashes).items() if n != VIEWS_FILE},
-            )
-            for one in self.records
-        ]
-        return frozenset(json.dumps(one, sort_keys=True) for one in found) if all(h for _, h in found) else frozenset()
+        """What its cells share with equal ones; empty if that is not known of all."""
+        return frozenset(self.psnr_by_content) if len(self.psnr_by_content) == len(self.cells) else frozenset()
 
     @property
     def scenes(self) -> list[str]:
@@ -177,7 +177,7 @@ class BoardRow:
         return {
             "seeds": str(len({record.seed for record in self.records})),
             "test views": joined(str(record.views.get("test", "n/a")) for record in self.records),
-            "iterations": joined(iterations_of(cell.record) for cell in self.cells),
+            "iterations": iterations_in_words(self.records),
             "size, px": joined(size_of(cell) for cell in self.cells),
             "range, °C": "several" if len(ranges) > 1 else ranges.pop(),
         }
@@ -204,11 +204,6 @@ class BoardRow:
         for record in self.records:
             values.setdefault(record.seed, {})[record.scene] = metric_value(record, metric)[0]
         return {seed: fmean(found.values()) for seed, found in values.items() if len(found) == len(self.scenes)}
-
-
-def iterations_of(record: Record) -> str:
-    """Return the iterations of a cell's budget; `n/a` of what was made elsewhere."""
-    return "n/a" if record.made_elsewhere is not None else str(planned_iterations(record))
 
 
 def joined(texts: Iterable[str]) -> str:

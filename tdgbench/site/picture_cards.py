@@ -15,7 +15,7 @@ from tdgbench.present.colour_scale import ColourScale
 from tdgbench.present.html import STEPS, png
 from tdgbench.present.view_pictures import middle_view, view_pictures, view_scale
 from tdgbench.site.packed import Pack
-from tdgbench.tables.long_table import method_label
+from tdgbench.tables.long_table import iterations_in_words, method_label
 from tdgbench.tables.overrides import training_in_words
 from tdgbench.tables.results import Cell
 
@@ -44,8 +44,8 @@ class Card:
     def training(self) -> str:
         """What tells it from cells of the same method: iterations, and what its depth prior is made from."""
         record = self.cell.record
-        prior, is_elsewhere = record.prior_source.words, record.made_elsewhere is not None
-        length = "made elsewhere" if is_elsewhere else f"{self.cell.planned_iterations} iterations"
+        prior = record.prior_source.words
+        length = "made elsewhere" if record.made_elsewhere else f"{iterations_in_words([record])} iterations"
         return f", {length}{f', prior made from {prior}' if prior else ''}"
 
 

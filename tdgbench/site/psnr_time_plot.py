@@ -12,6 +12,7 @@ from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
 from tdgbench.present.figures import as_svg, plain
 from tdgbench.site.packed import SCORES, BoardRow
+from tdgbench.site.ranking import is_disturbed
 from tdgbench.tables.likeness import machine_in_words
 from tdgbench.tables.measures import HOURS
 from tdgbench.text import duration, shortened
@@ -26,12 +27,21 @@ PSNR, TIME = SCORES.index("psnr"), SCORES.index(HOURS.name)
 
 
 def plots(rows: Sequence[BoardRow]) -> list[tuple[str, str]]:
-    """Return SVG and caption for each machine that ran several rows; none of several scenes, or of unlike rows."""
+    """Return SVG and caption for each kind of machine that ran several rows, none of them on a busy one.
+
+    There is none of several scenes, or of unlike rows.
+    """
     if len({(row.scene, *row.scenes) for row in rows}) > 1 or any(row.is_unlike for row in rows):
         return []
     by_machine: dict[tuple[str, ...], list[BoardRow]] = {}
     for row in rows:
-        if len(row.machines) == 1 and not row.twin and row.scores[PSNR].sort != "" and row.scores[TIME].value > 0:
+        if (
+            len(row.machines) == 1
+            and not row.twin
+            and not is_disturbed(row)
+            and row.scores[PSNR].sort != ""
+            and row.scores[TIME].value > 0
+        ):
             by_machine.setdefault(next(iter(row.machines)), []).append(row)
     columns = Counter(row.column for row in rows if not row.twin)
     where = rows[0].scene if len(rows[0].scenes) == 1 else f"the mean of {', '.join(rows[0].scenes)}"
@@ -39,7 +49,7 @@ def plots(rows: Sequence[BoardRow]) -> list[tuple[str, str]]:
         (plot([(row.label, row.pack.name if columns[row.column] > 1 else "") for row in group],
               *np.array([[row.scores[TIME].value * 3600, row.scores[TIME].std * 3600, row.scores[PSNR].value,
                           *row.psnr_interval] for row in group]).T),
-         f"{where}, on one machine ({machine_in_words(machine)})")
+         f"{where}, on one kind of machine ({machine_in_words(machine)})")
         for machine, group in by_machine.items() if len(group) > 1
     ]  # fmt: skip
 

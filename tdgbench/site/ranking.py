@@ -11,12 +11,14 @@ import numpy as np
 from tdgbench.cells.key import differences
 from tdgbench.site.packed import SCORES, BoardRow
 from tdgbench.tables.comparisons import EQUAL, FEWEST_SEEDS, best_or_tied, change_over_seeds
+from tdgbench.tables.likeness import was_disturbed
 from tdgbench.tables.measures import HOURS
 from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE
 from tdgbench.text import as_typed
 
 METRIC = "psnr"  # that ranks are of
 WITHOUT_WORDS = ("scene's files", "ground truth", "views", "masked")  # whose values tell a reader nothing
+CHANGED = "another pack has other PSNR for the same renders: verify both"
 FEW_SEEDS = f"fewer than {FEWEST_SEEDS} seeds, or no rival with as many"
 
 
@@ -35,7 +37,16 @@ def ranked(rows: Iterable[BoardRow]) -> list[BoardRow]:
 
 
 def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
-    """Rank rivals; one that holds the cells of another pack has its rank, one that holds some of them has none."""
+    """Rank rivals; one that holds the cells of another pack has its rank, one that holds some of them has none.
+
+    Nor have rows of equal renders whose PSNR differs: somebody changed a record.
+    """
+    known: dict[str, set[str]] = {}
+    for row in rows:
+        for content, psnr in row.psnr_by_content.items():
+            known.setdefault(content, set()).add(psnr)
+    changed = [row for row in rows if any(len(known[content]) > 1 for content in row.psnr_by_content)]
+    rows = [row for row in rows if row not in changed]
     by_content: dict[tuple[object, ...], list[BoardRow]] = {}
     for row in rows:
         same: tuple[object, ...] = *row.started, row.content or row.pack.page  # however its options were given
@@ -44,14 +55,14 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
         by_content.setdefault(same, []).append(row)
     wholes = [next((row for row in rows if _is_part(first, row)), None) for first, *_ in by_content.values()]
     rivals = [first for (first, *_), whole in zip(by_content.values(), wholes, strict=True) if whole is None]
-    of_rivals, found = iter(_among_rivals(rivals)), list[BoardRow]()
+    of_rivals, found = iter(_among_rivals(rivals)), [replace(row, unranked=CHANGED) for row in changed]
     for twins, whole in zip(by_content.values(), wholes, strict=True):
         if whole is None:
             one, *twins = next(of_rivals), *twins[1:]
             found.append(one)
             why = f"same cells as {one.pack.name}, ranked once"
         else:
-            why = f"its cells are among those of {whole.pack.name}"
+            why = f"its models and renders equal some of {whole.pack.name}"
             one = replace(twins[0], unranked=why)
         ranks = {name: getattr(one, name) for name in ("ranks", "rivals", "tied", "unranked", "is_unlike")}
         for row in twins:
@@ -114,11 +125,16 @@ def _with_skips_in_words(setup: dict[str, object]) -> dict[str, object]:
 
 
 def _bold(metric: str, rows: Sequence[BoardRow]) -> list[bool]:
-    """Return which of the rows are the best in a metric, or cannot be told from it; none in times of two machines."""
-    if metric == HOURS.name and len(set().union(*(row.machines for row in rows))) > 1:
+    """Return which rows are the best in a metric, or cannot be told from it; none in times that do not compare."""
+    if metric == HOURS.name and (len(set().union(*(row.machines for row in rows))) > 1 or any(map(is_disturbed, rows))):
         return [False] * len(rows)
     values = [row.scores[SCORES.index(metric)].value for row in rows]
     return best_or_tied(metric, np.array(values, dtype=float), _by_seed(metric, rows)).tolist()
+
+
+def is_disturbed(row: BoardRow) -> bool:
+    """Return whether a row's times are of a busy machine."""
+    return any(map(was_disturbed, row.records))
 
 
 def _by_seed(metric: str, rows: Sequence[BoardRow]) -> np.ndarray:

@@ -48,7 +48,7 @@ from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
 from tdgbench.tables.findings import BEFORE_A_PLATEAU, ended_by_its_budget
 from tdgbench.tables.grids import SCENE_KEYS, TIMES, reasons_for_na
-from tdgbench.tables.likeness import machine_in_words, setups
+from tdgbench.tables.likeness import disturbed_notes, machine_in_words, setups, times_at_once
 from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import AVERAGE, HOURS, as_text, measure_of
 from tdgbench.tables.overrides import training_in_words
@@ -248,6 +248,8 @@ def _caveats(rows: Sequence[BoardRow]) -> list[str]:
     machines = set[tuple[str, ...]]().union(*(row.machines for row in timed))
     if len(machines) > 1:
         found.append(f"Times do not compare between: {'; '.join(sorted(map(machine_in_words, machines)))}.")
+    records = [record for row in timed for record in row.records]
+    found += [f"{note[0].upper()}{note[1:]}." for note in (*times_at_once(records), *disturbed_notes(records))]
     return found + [f"The depth prior of {', '.join(who)} is made from {what}." for what, who in given.items() if what]
 
 

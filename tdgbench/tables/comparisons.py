@@ -7,7 +7,7 @@ excludes 0, though it may reach inside the margin. Anything else is `undecided`;
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -182,7 +182,7 @@ def _why_none(
     pair: MethodPair,
     place: tuple[str, ...],
     reasons: pd.Series,
-    unlike: Collection[tuple[object, ...]],
+    unlike: Mapping[tuple[object, ...], str],
     changes: pd.DataFrame,
 ) -> str:
     """Return why a pair has no seed in common. place: KEYS but the method. reasons: why a number is n/a, by KEYS.
@@ -197,11 +197,10 @@ def _why_none(
     dataset, _, scene, metric = place
     if scene in ROWS_OF_AVERAGES:
         return _why_no_average(changes[changes["dataset"].isin([dataset] if dataset else changes["dataset"])], metric)
+    of_scene = {why: None for found, why in unlike.items() if found[:2] == (dataset, scene)}
     if (dataset, scene) in unlike:
-        return "unlike trainings"
-    if metric == HOURS.name and any(found[:2] == (dataset, scene) for found in unlike):
-        return "times of two machines, or of a busy one"
-    return "no seed in common"
+        return unlike[dataset, scene]
+    return " or ".join(of_scene) if metric == HOURS.name and of_scene else "no seed in common"
 
 
 def _why_no_average(changes: pd.DataFrame, metric: str) -> str:
@@ -214,20 +213,21 @@ def _why_no_average(changes: pd.DataFrame, metric: str) -> str:
     return why if len(without) == len(scenes) else f"{len(without)} of {len(scenes)} scenes: {why}"
 
 
-def _unlike(pair: MethodPair, main: pd.DataFrame, finished: Sequence[Cell]) -> set[tuple[object, ...]]:
-    """Return (data set, scene) of unlike trainings, and (data set, scene, seed) of times that do not compare."""
-    unlike: set[tuple[object, ...]] = set()
+def _unlike(pair: MethodPair, main: pd.DataFrame, finished: Sequence[Cell]) -> dict[tuple[object, ...], str]:
+    """Return why by (data set, scene) of unlike trainings, and (data set, scene, seed) of times that do not compare."""
+    unlike: dict[tuple[object, ...], str] = {}
     if "training" in main:
         scores = main[main["method"].isin(pair) & (main["metric"] == MAIN_COLUMNS[0])]
         kinds = scores.groupby(["dataset", "scene"])["training"].nunique()
-        unlike |= set(kinds.index[kinds > 1])
+        unlike |= dict.fromkeys(kinds.index[kinds > 1], "unlike trainings")
     machines: dict[tuple[object, ...], set[tuple[str, ...]]] = {}
     for cell in finished:
         if method_label(cell.record, with_init=True) in pair:
             place = (*cell.dataset_and_scene, cell.record.seed)
             machines.setdefault(place, set()).add(cell.machine)
-            unlike |= {place} if was_disturbed(cell.record) else set()
-    return unlike | {place for place, found in machines.items() if len(found) > 1}
+            if was_disturbed(cell.record):
+                unlike[place] = "times of a busy machine"
+    return unlike | {place: "times of two machines" for place, found in machines.items() if len(found) > 1}
 
 
 def paired_tests(changes: pd.DataFrame, main: pd.DataFrame) -> pd.DataFrame:

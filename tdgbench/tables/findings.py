@@ -19,7 +19,7 @@ from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.comparisons import COUNTED, EQUAL, MethodComparison, margin_of
 from tdgbench.tables.equal_data import Place, equal_data_notes
 from tdgbench.tables.grids import ERROR
-from tdgbench.tables.likeness import TRAINING_KIND, is_selected, times_at_once
+from tdgbench.tables.likeness import TRAINING_KIND, is_selected, times_at_once, was_disturbed
 from tdgbench.tables.long_table import NO_RECORD, method_label, planned_iterations
 from tdgbench.tables.measures import (
     ABLATION,
@@ -179,7 +179,7 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
     notes = [f"n/a on {without} more"] if without else []
     timed = both.loc[(both["metric"] == HOURS.name) & both["value"].notna(), "method"].nunique() == len(pair)
     is_timed = HOURS.name in set(scenes["metric"])
-    times = _times(pair, records) if is_timed else ["times are of unlike machines, or of a busy one"] * timed
+    times = _times(pair, records) if is_timed else [_why_no_times(pair, records)] * timed
     if several and scenes["seeds"].max() > 1:
         has_p = paired.loc[paired["metric"].isin(TOLD), "p"].notna().any()
         tests = ["p: Wilcoxon's signed-rank test over scenes, one-sided: the method is better"] if has_p else []
@@ -215,6 +215,11 @@ def _lengths(pair: methods.MethodPair, records: Sequence[Record]) -> list[str]:
         return []
     ends = [" to ".join(dict.fromkeys((str(min(each)), str(max(each))))) for each in found]
     return [f"trainings ended after {' against '.join(ends)} iterations"]
+
+
+def _why_no_times(pair: methods.MethodPair, records: Sequence[Record]) -> str:
+    is_busy = any(was_disturbed(one) for one in records if method_label(one, with_init=True) in pair)
+    return f"times are of {'a busy machine' if is_busy else 'unlike machines'}, and not compared"
 
 
 def _range(scenes: pd.DataFrame) -> list[str]:
@@ -298,7 +303,8 @@ def _certainty(place: pd.DataFrame, main: pd.DataFrame) -> list[str]:
     """
     seeds = place["seeds"].max()
     if seeds < 2:
-        return [f"one seed decides nothing: {usual_spread(main)}"]
+        alone = " that both have" if main["seeds"].max() > 1 else ""
+        return [f"one seed{alone} decides nothing: {usual_spread(main)}"]
     shared = " that both have" if seeds < main["seeds"].max() else ""
     shared += ", not over scenes" if _is_average(place).any() else ""
     has_any = any(map(_has_interval, place.itertuples()))

@@ -69,6 +69,22 @@ def planned_iterations(record: Record) -> int:
     return planned if isinstance(planned, int) and record.made_elsewhere is None else record.iterations
 
 
+def iterations_in_words(records: Sequence[Record]) -> str:
+    """Return after how many iterations trainings ended, and of how many; `n/a` of what was made elsewhere.
+
+    >>> cells = [Record("tdg", "", "a", "", seed, "", "", iterations=n) for seed, n in enumerate((800, 900))]
+    >>> iterations_in_words(cells), iterations_in_words(cells[:1])
+    ('800 to 900', '800')
+    """
+    trained = [record for record in records if record.made_elsewhere is None]
+    if not trained:
+        return "n/a"
+    ended = [record.iterations for record in trained]
+    planned, done = {*map(planned_iterations, trained)}, dict.fromkeys((min(ended), max(ended)))
+    words = " to ".join(map(str, done))
+    return words if planned <= {*ended} else f"{words} of at most {max(planned)}"
+
+
 def cell_rows(
     records: Iterable[Record], plan: Plan, init: str | None = None, asked: Iterable[str] = ()
 ) -> pd.DataFrame:
@@ -124,7 +140,7 @@ def with_averages(rows: pd.DataFrame) -> pd.DataFrame:
 def with_protocols(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFrame:
     """Return the rows with ABOUT of their cells (`a + b` for an average over both).
 
-    range_degC: °C of image values 0 and 1, if all cells have one: PSNR is relative to it. iterations: of the budget.
+    range_degC: °C of image values 0 and 1, if all cells have one: PSNR is relative to it.
     """
 
     def joined(text: Callable[[Record], str]) -> Callable[[Sequence[Record]], str]:
@@ -135,10 +151,11 @@ def with_protocols(rows: pd.DataFrame, records: Iterable[Record]) -> pd.DataFram
         return found.pop() if len(found) == 1 else ""
 
     texts: list[Callable[[Record], str]] = [
-        attrgetter("split"), attrgetter("protocol"), lambda cell: str(planned_iterations(cell)), prior_in_words,
+        attrgetter("split"), attrgetter("protocol"), prior_in_words,
         lambda cell: "" if cell.scores.get("lpips") is None else str(cell.setting("metrics.lpips.net")),
     ]  # fmt: skip
-    columns = dict(zip(ABOUT, [*map(joined, texts), range_of], strict=True))
+    split, protocol, prior, net = map(joined, texts)
+    columns = dict(zip(ABOUT, [split, protocol, iterations_in_words, prior, net, range_of], strict=True))
     return with_text_of_cells(rows, records, columns, partial(method_label, with_init=True))
 
 

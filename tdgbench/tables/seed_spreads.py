@@ -59,7 +59,7 @@ def usual_spread(main: pd.DataFrame) -> str:
     scenes = rows[["dataset", "scene"]].drop_duplicates()
     where = scenes["scene"].iloc[0] if len(scenes) == 1 else "these scenes"
     if rows["std"].notna().any():
-        return f"here seeds of {where} are up to {rows['std'].max():.2g} dB PSNR apart (standard deviation)"
+        return f"a method's standard deviation over seeds here on {where} is up to {rows['std'].max():.2g} dB PSNR"
     known = [spreads.psnr[p] for p in scenes.agg("/".join, axis=1) if p in spreads.psnr]
     where, largest = (where, max(known)) if known else ("other scenes", spreads.largest["psnr"])
     return (

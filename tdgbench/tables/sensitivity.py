@@ -32,8 +32,8 @@ from tdgbench.tables.measures import measure_of
 from tdgbench.tables.results import Cell
 
 SENSITIVITY_COLUMNS = [
-    "score", "convention", "cells", "mean_change", "largest_change", "pairs", "reversed", "other_best",
-    "rank_correlation", "reason",
+    "score", "convention", "cells", "mean_change", "largest_change", "pairs", "reversed", "groups",
+    "other_best", "ranked", "rank_correlation", "reason",
 ]  # fmt: skip
 RECORDED = "as recorded"  # the first choice of each score
 FEWEST_RANKED = 3  # cells that compete, of a rank correlation: that of two is always 1 or -1
@@ -97,9 +97,9 @@ def sensitivity(cells: Iterable[Cell], weights: Weights = _NO_WEIGHTS) -> pd.Dat
     weights: files with backbones of LPIPS, for networks that torch's cache lacks.
     mean_change, largest_change: of a cell's score against the record's convention. pairs: of cells that differ in
     method, initial points or variant, on one scene with one seed. reversed: in which the other cell is better now.
-    other_best: scenes and seeds in which another cell is the best one. rank_correlation: Spearman's, of the scores of
-    cells that compete, mean over scenes and seeds with FEWEST_RANKED or more; NaN: there are none. reason: why some
-    cells, `cells` less than all, have no value.
+    groups, other_best: scenes and seeds with several cells, and those in which another one is the best. ranked,
+    rank_correlation: those with FEWEST_RANKED or more, and the mean of Spearman's correlation there; NaN: none. reason:
+    why some cells, `cells` less than all, have no value.
     """
     cells = list(cells)
     if not cells:
@@ -138,19 +138,22 @@ def _scores(cell: Cell, weights: Weights) -> tuple[dict[tuple[str, str], float],
     return values, reasons
 
 
-def _order_changes(cells: list[Cell], score: str, before: np.ndarray, after: np.ndarray) -> tuple[int, int, int, float]:
-    """Return pairs of cells that compete, those whose order is reversed, groups with another best, rank correlation."""
+def _order_changes(
+    cells: list[Cell], score: str, before: np.ndarray, after: np.ndarray
+) -> tuple[int, int, int, int, int, float]:
+    """Return the columns from `pairs` to `rank_correlation`."""
     groups: dict[tuple[Any, ...], list[int]] = {}
     for index, cell in enumerate(cells):
         groups.setdefault((*cell.dataset_and_scene, cell.record.seed), []).append(index)
+    several = [group for group in groups.values() if len(group) > 1]
     sign = 1 if measure_of(score).higher_is_better else -1
     pairs = [pair for group in groups.values() for pair in itertools.combinations(group, 2)]
     swapped = sum((before[i] - before[j]) * (after[i] - after[j]) < 0 for i, j in pairs)
     best = sum(
         group[np.argmax(sign * before[group])] != group[np.argmax(sign * after[group])] for group in groups.values()
     )
-    ranked = [rank_correlation(before[group], after[group]) for group in groups.values()]
-    return len(pairs), int(swapped), int(best), float(pd.Series(ranked, dtype=float).mean())
+    ranked = pd.Series([rank_correlation(before[group], after[group]) for group in several], dtype=float).dropna()
+    return len(pairs), int(swapped), len(several), int(best), len(ranked), float(ranked.mean())
 
 
 def rank_correlation(before: np.ndarray, after: np.ndarray) -> float:

@@ -65,7 +65,7 @@ def test_the_spread_of_a_repeat_is_not_that_of_seeds(tmp_path):
 @pytest.mark.parametrize(
     ("psnr_b", "said"),
     [
-        ([19.0], "PSNR, B against A: undecided; B − A -1.00 dB, by one seed, which shows no difference"),
+        ([19.0], "PSNR, B against A: undecided; B − A -1.00 dB, by one seed: it decides nothing"),
         ([20.1, 20.908], "PSNR, B against A: undecided; B − A within ±0.01 dB, 90 % interval -0.602 to +0.610, "
                          "which contains zero"),
         ([22.0, 23.1], "PSNR, B against A: better; B − A +2.05 dB, 90 % interval +1.73 to +2.37"),

@@ -71,7 +71,7 @@ def test_errors_are_stated_in_degrees():
     (row,) = error_panel({"TDg": counts}, (0.0, 51.0), ["C0"])["rows"]  # a level is 0.2 °C
     (exact,) = error_panel({"TDg": np.eye(1, 511, 255, dtype=int)[0]}, (0.0, 51.0), ["C0"])["rows"]
     assert exact[1:3] == ["< 0.1", "< 0.1"]
-    assert row == ["TDg", "0.2", "0.8", f"{(60 - 144 + 80) / 100 * 0.2:+.2f}"]
+    assert row == ["TDg", "0.2", "0.8", "4.0", f"{(60 - 144 + 80) / 100 * 0.2:+.2f}"]
 
 
 def cells_of(experiment):

@@ -134,7 +134,7 @@ def test_ranks_are_across_packs_and_of_like_trainings(tmp_path):
     for name, method, psnr, budget in cells:
         for seed, value in enumerate(psnr):
             options, own = {"budget": {"name": "demo", **budget}}, {"edges": 7.0 + seed} if name in "be" else {}
-            hashes = {"model.ply": f"{len(method)}{seed}" * 32, "views.csv": f"{name}{seed}" * 32}
+            hashes = {"model.ply": f"{ord(method[0]) % 16:x}{seed}" * 32, "views.csv": f"{name}{seed}" * 32}
             fields = {"scores": {"psnr": value, **own}, "config": options, "hashes": hashes}
             fields["variant"] = "budget.iterations=9,lr=2" if name == "f" else ""
             if budget:
@@ -150,7 +150,7 @@ def test_ranks_are_across_packs_and_of_like_trainings(tmp_path):
     assert [(row[0], *row[1:4:2], row[-1]) for row in rows_of_index(folder)] == [
         ("1", "TDg", "30.10 ± 0.10", "a.zip"), ("1", "TDg", "30.10 ± 0.10", "e.zip same cells as a.zip, ranked once"),
         ("2", "MSMG", "25.13 ± 0.15", "b.zip"), ("–", "3DGS", "40.00", "c.zip"), ("–", "MSMG", "20.05 ± 0.07", "d.zip"),
-        ("–", "MSMG [lr=2]", "20.00", "f.zip its cells are among those of d.zip"),
+        ("–", "MSMG [lr=2]", "20.00", "f.zip its models and renders equal some of d.zip"),
     ]  # fmt: skip
     assert "budget demo, protocol" in index and "budget demo with iterations=9, protocol" in index
     assert re.findall(r"<b>(\d\d\.\d\d) ±", index) == ["30.10", "30.10"]
@@ -319,3 +319,24 @@ def test_absurd_scores_have_a_site(tmp_path):
         write(tmp_path / "a", method, "Truck", scores={"psnr": value}, seconds={"train": 9.0})
     site = make(tmp_path / "site", pack(tmp_path / "a", tmp_path / "a.zip", keep_paths=True)[0])
     assert (site / "index.html").stat().st_size < MEGABYTE
+
+
+def test_equal_renders_with_another_psnr_have_no_rank(tmp_path):
+    packs = []
+    for name, gain in (("a", 0.0), ("b", 0.3)):
+        for method, psnr in (("tdg", 30.0), ("msmg", 25.0)):
+            for seed in range(3):
+                hashes = {"model.ply": f"{ord(method[0]) % 16:x}{seed}" * 32}
+                scores = {"psnr": psnr + seed / 10 + gain * (method == "tdg")}
+                write(tmp_path / name, method, "Shed", "mine", seed=seed, scores=scores, hashes=hashes)
+        Plan().write(tmp_path / name)
+        packs.append(pack(tmp_path / name, tmp_path / f"{name}.zip", keep_paths=True)[0])
+    folder = make(tmp_path / "site", *packs)
+    rows = [(row[0], row[1], row[-1].split()[0]) for row in rows_of_index(folder)]
+    assert sorted(rows) == [
+        ("–", "MSMG", "a.zip"),
+        ("–", "MSMG", "b.zip"),
+        ("–", "TDg", "a.zip"),
+        ("–", "TDg", "b.zip"),
+    ]
+    assert (folder / "index.html").read_text().count("another pack has other PSNR for the same renders") == 2

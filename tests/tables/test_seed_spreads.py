@@ -14,7 +14,7 @@ MEASURED = (
     [
         (["orbit"], float("nan"), MEASURED.format("orbit")),
         (["orbit", "attic"], float("nan"), MEASURED.format("these scenes")),
-        (["orbit"], 0.25, "here seeds of orbit are up to 0.25 dB PSNR apart (standard deviation)"),
+        (["orbit"], 0.25, "a method's standard deviation over seeds here on orbit is up to 0.25 dB PSNR"),
     ],
 )
 def test_usual_spread(scenes, std, words):

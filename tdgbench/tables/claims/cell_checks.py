@@ -35,7 +35,8 @@ from tdgbench.tables.claims.evidence import (
     on_built_in,
 )
 from tdgbench.tables.claims.quantities import QUANTITIES, Quantity
-from tdgbench.tables.long_table import is_random
+from tdgbench.tables.likeness import was_disturbed
+from tdgbench.tables.long_table import is_random, iterations_in_words
 from tdgbench.tables.results import Cell
 from tdgbench.tables.statistics import with_interval
 from tdgbench.text import named
@@ -185,10 +186,11 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[CellP
     cells = both[0][0]
     mine, other = (Side(cell.record.method, cell.record.init) for cell in cells)
     names = f"{_name(mine, other)} {'/' if quantity.ratio else '−'} {_name(other, mine)}"
-    lengths = " and ".join(str(budget) for budget in dict.fromkeys(cell.planned_iterations for cell in cells))
+    sides = zip(*(pair for pair, _ in both), strict=True)
+    lengths = " and ".join(dict.fromkeys(iterations_in_words([cell.record for cell in side]) for side in sides))
     value = _ratio_text(gain) if quantity.ratio else _difference_text(gain, quantity)
     machines = len({pair.mine.machine for pair, _ in both}) if quantity.timed else 1
-    several = f" on {machines} machines or numbers of threads" if machines > 1 else ""
+    several = f" in {machines} settings of processor, threads and cells at once" if machines > 1 else ""
     grounds = f"{quantity.label}, {names} at {lengths}: {value}, {counts_in_words(gain)}{several}"
     least = quantity.least_gain(margin)
     verdict, by = judge_gain(gain, least), f"{100 * margin:g} %" if quantity.ratio else f"{margin:g}{quantity.unit}"
@@ -202,11 +204,15 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[CellP
 def _pairs_with(
     quantity: Quantity, pairs: Sequence[CellPair], claim: Claim
 ) -> list[tuple[CellPair, tuple[float, float]]]:
-    """Return the pairs that have a quantity, with its numbers: times of one machine, and ratios of numbers above 0."""
+    """Return the pairs that have a quantity, with its numbers: times of one free machine, ratios of numbers above 0."""
     if quantity.timed:
-        pairs = [pair for pair in pairs if pair.mine.machine == pair.other.machine]
+        pairs = [pair for pair in pairs if _is_on_one_free_machine(pair)]
     both = [(pair, found) for pair in pairs if (found := quantity.numbers(*pair, claim)) is not None]
     return [(pair, found) for pair, found in both if not quantity.ratio or min(found) > 0]
+
+
+def _is_on_one_free_machine(cells: Sequence[Cell]) -> bool:
+    return len({cell.machine for cell in cells}) == 1 and not any(was_disturbed(cell.record) for cell in cells)
 
 
 def _name(side: Side, other: Side) -> str:
@@ -232,7 +238,7 @@ def _links(evidence: ClaimEvidence) -> list[tuple[Cell, Cell, Cell, Cell]]:
     times: dict[tuple[str, int, tuple[str, ...]], dict[str, dict[int, Cell]]] = {}
     longest = {setup: length for (method, setup), length in evidence.published_lengths.items() if method == "msmg"}
     for setup, cell in evidence.placed:
-        if cell.record.init == COLMAP and cell.record.seconds.get("train"):
+        if cell.record.init == COLMAP and cell.record.seconds.get("train") and not was_disturbed(cell.record):
             of_method = times.setdefault((setup, cell.record.seed, cell.machine), {})
             of_method.setdefault(cell.record.method, {}).setdefault(cell.planned_iterations, cell)
     links = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -11,13 +12,15 @@ from typing import NamedTuple, TypeVar
 import pandas as pd
 from pydantic import ConfigDict
 
+from tdgbench.cells.folder import hashes_of_content
+from tdgbench.cells.paths import VIEWS_FILE
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.prior_sources import SOURCES
 from tdgbench.cells.record import Record, no_records
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
-from tdgbench.tables.likeness import setups
-from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages
+from tdgbench.tables.likeness import setups, was_disturbed
+from tdgbench.tables.long_table import cell_rows, iterations_in_words, scene_rows, with_averages
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL
 from tdgbench.tables.overrides import overrides_of
 from tdgbench.tables.results import Cell, read_results
@@ -194,6 +197,7 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
         if not results.cells:
             raise no_records(folder)
         cells += [cell for cell in results.finished if _is_plain(cell.record)]
+    cells = _each_once(cells)
     sized = [cell for cell in cells if cell.record.setting("budget.gaussians") is not None]
     equal = [c for c in sized if c.record.gaussians.get("thermal") == c.record.setting("budget.gaussians")]
     cells = [cell for cell in cells if cell not in sized]
@@ -206,15 +210,29 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     return replace(evidence, main=main, note=note, by_seed=by_seed)
 
 
+def _each_once(cells: Sequence[Cell]) -> list[Cell]:
+    """Return the cells, each training once that several experiments hold, with the time of a machine that was free."""
+    found: dict[object, Cell] = {}
+    for cell in sorted(cells, key=lambda cell: was_disturbed(cell.record)):
+        record, hashes = cell.record, hashes_of_content(cell.record.hashes)
+        content = json.dumps({**hashes, VIEWS_FILE: ""}, sort_keys=True) if hashes else str(cell.folder)
+        found.setdefault((record.method, record.init, *cell.dataset_and_scene, record.seed, content), cell)
+    return [cell for cell in cells if cell in found.values()]
+
+
 def _with_times_of_one_machine(rows: pd.DataFrame, cells: Sequence[Cell]) -> pd.DataFrame:
-    """Return `cell_rows` without the times of scenes whose cells ran on several machines or numbers of threads."""
+    """Return `cell_rows` without the times of scenes whose cells ran on several machines, or on a busy one."""
     machines: dict[tuple[str, str], set[tuple[str, ...]]] = {}
     for cell in cells:
         machines.setdefault(cell.dataset_and_scene, set()).add(cell.machine)
     several = {place for place, found in machines.items() if len(found) > 1}
+    several |= {cell.dataset_and_scene for cell in cells if was_disturbed(cell.record)}
     places = zip(rows["dataset"], rows["scene"], rows["metric"], strict=True)
     dropped = [metric == HOURS.name and (dataset, scene) in several for dataset, scene, metric in places]
-    rows.loc[dropped, ["value", "reason"]] = [float("nan"), "times of several machines or numbers of threads"]
+    rows.loc[dropped, ["value", "reason"]] = [
+        float("nan"),
+        "times of several or busy machines",
+    ]
     return rows
 
 
@@ -263,7 +281,7 @@ def _lengths(cells: Sequence[Cell]) -> str:
         return ""
     parts = []
     for method in methods.paper_pair():
-        lengths = sorted({cell.planned_iterations for cell in cells if cell.record.method == method})
-        parts.append(f"{methods.label(method)} at {' and '.join(map(str, lengths))}")
+        records = [cell.record for cell in cells if cell.record.method == method]
+        parts.append(f"{methods.label(method)} at {iterations_in_words(records)}")
     scenes = len({cell.dataset_and_scene for cell in cells})
     return f"{scenes} scene{'s' if scenes > 1 else ''}; {', '.join(parts)} iterations"

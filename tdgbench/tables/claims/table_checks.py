@@ -181,7 +181,7 @@ def averages_follow(_claim: Claim, evidence: ClaimEvidence) -> Finding:
     if checked.empty:
         raise MissingError("no averages")
     for row in checked[checked["verdict"] == UNKNOWN].itertuples():
-        raise MissingError(f"{row.scene} of {row.dataset or 'all'} cannot be recomputed")
+        raise MissingError(f"{_label(row.metric)}, {row.scene} of {row.dataset or 'all'}, cannot be recomputed")
     off = [
         f"{methods.label(row.method)} {row.dataset} {_label(row.metric)}: {row.mean:.4f}, not {row.printed}"
         for row in checked[checked["verdict"] == OFF].itertuples()
