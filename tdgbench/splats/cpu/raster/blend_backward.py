@@ -41,6 +41,7 @@ from tdgbench.splats.cpu.raster.blend import (
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tdgbench.splats.cpu.raster.types import ForwardPass, ImageArrays, Settings, Slots
 from tdgbench.splats.cpu.simd.memory import (
+    LINE,
     aligned_floats,
     load,
     prefetch,
@@ -58,11 +59,7 @@ from tdgbench.splats.cpu.simd.registers import (
     greater_equal,
     lane_sums_of_4,
     lane_sums_of_8,
-    less_equal,
     lowest,
-    maximum,
-    minimum,
-    negative_abs,
     reciprocal,
     select,
 )
@@ -122,6 +119,12 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
             tile = tile_at(index, tiles_x, tiles.starts)
             write_transmittance(pixels, size, tables.centres, width - tile.left, height - tile.top)
             write_gradients(pixels, size, colors, depth, tile, images, gradients)
+            upcoming = tile_at(min(index + 1, n_tiles - 1), tiles_x, tiles.starts)
+            for arrays in (images, gradients):
+                prefetch_pixels(arrays.color, colors, upcoming, height, width)
+                prefetch_pixels(arrays.transmittance, 1, upcoming, height, width)
+                if depth:
+                    prefetch_pixels(arrays.depth, 1, upcoming, height, width)
             end = tile.begin + visits.counts[index]
             for k in range(tile.begin, end):
                 if k + PREFETCH_DISTANCE < end:
@@ -174,6 +177,17 @@ def write_gradients(pixels, size, colors, depth, tile, images, gradients):
 
 
 @kernel(inline=True)
+def prefetch_pixels(image, channels, tile, height, width):
+    """Prefetch the pixels of a tile that is read next: each of its rows is in other cache lines, which takes longer
+    than a tile without pairs.
+    """
+    for y in range(tile.top, min(tile.top + TILE, height)):
+        end = (y * width + min(tile.left + TILE, width)) * channels - 1
+        for c in range(channels):
+            prefetch(image, U(end - c * LINE))
+
+
+@kernel(inline=True)
 def sum_blocks(pixels, size, channels, alphas, columns, form, colors, blocks, limits, absgrad):
     """Ten registers: the six moments and up to four channels of one splat, summed over `blocks`.
 
@@ -187,11 +201,11 @@ def sum_blocks(pixels, size, channels, alphas, columns, form, colors, blocks, li
         blocks &= blocks - U(1)
         o = block * U(size)
         alpha = load(alphas, block * U(LANES))
-        t = maximum(load(pixels, o + T), zero)
+        t = load(pixels, o + T)
         weight = alpha * t
         t_next = t - weight
         goes_on = greater_equal(t_next, limits.min_transmittance)
-        pull = weight * reciprocal(t_next)  # alpha / (1 − alpha)
+        pull = alpha * reciprocal(alpha - ONE)
         store(pixels, o + T, select(goes_on, t_next, zero))
         weight = select(goes_on, weight, zero)
         g0 = load(pixels, o + LOCAL + U(LANES))
@@ -212,7 +226,7 @@ def sum_blocks(pixels, size, channels, alphas, columns, form, colors, blocks, li
         light = weight * color_dot_g
         behind = load(pixels, o + LOCAL) - light
         store(pixels, o + LOCAL, behind)
-        g = select(both(goes_on, greater(limits.max_alpha, alpha)), light - behind * pull, zero)
+        g = select(both(goes_on, greater(limits.max_alpha, alpha)), behind * pull + light, zero)
         if absgrad:
             store(alphas, block * U(LANES), g)
         dx, dy = load(columns, (block & U(ACROSS - 1)) * COLUMN + DX), load(pixels, o + Y) + form.dy
