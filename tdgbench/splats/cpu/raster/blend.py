@@ -180,7 +180,7 @@ def find_active(first, last, splats, splat_ids, tile, limits, tables, alive, fou
 
 @kernel(inline=True)
 def write_columns(columns, form, centres):
-    """What the blocks of a column share: dx, dx B and log2_opacity + A dx²."""
+    """Write what the blocks of a column share: dx, dx B and log2_opacity + A dx²."""
     for column in range(U(ACROSS)):
         dx = load(centres, U(2 * BLOCKS) + column * U(2 * LANES)) + form.dx
         store(columns, column * COLUMN + DX, dx)

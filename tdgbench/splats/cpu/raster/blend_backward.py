@@ -178,9 +178,7 @@ def write_gradients(pixels, size, colors, depth, tile, images, gradients):
 
 @kernel(inline=True)
 def prefetch_pixels(image, channels, tile, height, width):
-    """Prefetch the pixels of a tile that is read next: each of its rows is in other cache lines, which takes longer
-    than a tile without pairs.
-    """
+    """Prefetch the pixels of the next tile: its rows are far apart in memory, which hardware does not foresee."""
     for y in range(tile.top, min(tile.top + TILE, height)):
         end = (y * width + min(tile.left + TILE, width)) * channels - 1
         for c in range(channels):
