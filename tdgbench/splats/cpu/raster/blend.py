@@ -8,7 +8,7 @@ Stopped pixels need no branch: the sign bit of their T is set, which makes every
 
 Blocks are 4 × LANES / 4 pixels, numbered row by row from the tile's corner: a small Gaussian touches fewer of them than
 it would touch strips of one row. A set of blocks is a number, one bit each. A kernel holds a tile as `pixels`, float32:
-`size` floats a block, of which X, Y and T are the same in all kernels.
+`size` floats a block, of which Y and T are the same in all kernels.
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ F, U = np.float32, np.uint64
 WIDTH, HEIGHT = 4, LANES // 4  # of a block, px
 ACROSS, DOWN = TILE // WIDTH, TILE // HEIGHT
 BLOCKS = ACROSS * DOWN
-X, Y, T, LOCAL = U(0), U(LANES), U(2 * LANES), U(3 * LANES)  # of a block: centres, transmittance, the kernel's values
+Y, T, LOCAL = U(0), U(LANES), U(2 * LANES)  # of a block: centres, transmittance, the kernel's values
+DX, DX_B, ALONG_X, COLUMN = U(0), U(LANES), U(2 * LANES), U(4 * LANES)  # of a column of blocks; its floats
 ALL, NONE = U(2**BLOCKS - 1), U(0)
 HALF_WIDTH, HALF_HEIGHT = F((WIDTH - 1) / 2), F((HEIGHT - 1) / 2)  # from a block's centre to its outermost pixels'
 ZERO, TWO, DEAD = F(0), F(2), F(-0.0)
@@ -120,7 +121,7 @@ def make_blend(colors: int, depth: bool):
     variant = f"{colors}_depth" if depth else f"{colors}"
     # not literals: one helper serves all variants
     channels, colors, depth = np.int64(colors + depth), np.int64(colors), np.bool_(depth)
-    size = (3 + channels) * LANES  # floats of a block: x, y, T, then the channels
+    size = (2 + channels) * LANES  # floats of a block: y, T, then the channels
 
     @kernel(variant=variant)
     def blend(counter, splats, tiles, background, limits, tables, images, visits):
@@ -132,14 +133,15 @@ def make_blend(colors: int, depth: bool):
         height, width = images.transmittance.shape
         tiles_x = (width + TILE - 1) // TILE
         n_tiles = tiles.starts.shape[0] - 1
-        pixels = aligned_floats(BLOCKS * size)
+        pixels, alphas = aligned_floats(BLOCKS * size), aligned_floats(BLOCKS * LANES)
+        columns = aligned_floats(ACROSS * COLUMN)
         write_centres(pixels, size, tables.centres)
         while True:
             index = take_next(counter)
             if index >= n_tiles:
                 break
             tile = tile_at(index, tiles_x, tiles.starts)
-            write_transmittance(pixels, size, width - tile.left, height - tile.top)
+            write_transmittance(pixels, size, tables.centres, width - tile.left, height - tile.top)
             for block in range(U(BLOCKS)):
                 for c in range(U(channels)):
                     store(pixels, block * U(size) + LOCAL + U(LANES) * c, broadcast(ZERO))
@@ -149,11 +151,13 @@ def make_blend(colors: int, depth: bool):
                 last = min(first + BATCH, tile.end)
                 find_active(first, last, splats, tiles.splat_ids, tile, limits, tables, alive, visits.active_blocks)
                 for k in range(U(first), U(last)):
-                    i = U(tiles.splat_ids[k])
-                    visits.active_blocks[k] = blend_splat(
-                        pixels, size, channels, form_of(splats, i, tile), channels_of(splats, i),
-                        U(visits.active_blocks[k]), limits, tables.powers,
-                    )  # fmt: skip
+                    i, blocks = U(tiles.splat_ids[k]), U(visits.active_blocks[k])
+                    form = form_of(splats, i, tile)
+                    write_columns(columns, form, tables.centres)
+                    write_alphas(alphas, pixels, size, columns, form, blocks, limits, tables.powers)
+                    visits.active_blocks[k] = add_splat(
+                        pixels, size, channels, alphas, channels_of(splats, i), blocks, limits.min_transmittance
+                    )
                 if limits.end_early:
                     alive = still_alive(alive, pixels, size)
                     if alive == NONE:
@@ -175,7 +179,34 @@ def find_active(first, last, splats, splat_ids, tile, limits, tables, alive, fou
 
 
 @kernel(inline=True)
-def blend_splat(pixels, size, channels, form, colors, blocks, limits, powers):
+def write_columns(columns, form, centres):
+    """Write what the blocks of a column share: dx, dx B and log2_opacity + A dx²."""
+    for column in range(U(ACROSS)):
+        dx = load(centres, U(2 * BLOCKS) + column * U(2 * LANES)) + form.dx
+        store(columns, column * COLUMN + DX, dx)
+        store(columns, column * COLUMN + DX_B, dx * form.B)
+        store(columns, column * COLUMN + ALONG_X, dx * dx * form.A + form.log2_opacity)
+
+
+@kernel(inline=True)
+def write_alphas(alphas, pixels, size, columns, form, blocks, limits, powers):
+    """alphas[LANES block …] = alpha in each of `blocks`, zero below min_alpha."""
+    while blocks != NONE:
+        block = lowest(blocks)
+        blocks &= blocks - U(1)
+        column = (block & U(ACROSS - 1)) * COLUMN
+        dy = load(pixels, block * U(size) + Y) + form.dy
+        log2_alpha = dy * (dy * form.C + load(columns, column + DX_B)) + load(columns, column + ALONG_X)
+        alpha = minimum(exp2_in_memory(log2_alpha, powers), limits.max_alpha)
+        store(
+            alphas,
+            block * U(LANES),
+            select(greater_equal(log2_alpha, limits.log2_min_alpha), alpha, broadcast(ZERO)),
+        )
+
+
+@kernel(inline=True)
+def add_splat(pixels, size, channels, alphas, colors, blocks, min_transmittance):
     """Blend one splat into `blocks`; returns those in which it has weight. colors: four registers."""
     zero = broadcast(ZERO)
     weighted = NONE
@@ -183,14 +214,12 @@ def blend_splat(pixels, size, channels, form, colors, blocks, limits, powers):
         block = lowest(blocks)
         blocks &= blocks - U(1)
         o = block * U(size)
-        log2_alpha = log2_alpha_in(pixels, o, form)
-        alpha = minimum(exp2_in_memory(log2_alpha, powers), limits.max_alpha)
         t = load(pixels, o + T)
         t_alive = maximum(t, zero)
-        weight = select(greater_equal(log2_alpha, limits.log2_min_alpha), alpha * t_alive, zero)
+        weight = load(alphas, block * U(LANES)) * t_alive
         weighted |= U(any_bit(weight)) << block
         t_next = t_alive - weight
-        goes_on = greater_equal(t_next, limits.min_transmittance)
+        goes_on = greater_equal(t_next, min_transmittance)
         store(pixels, o + T, select(goes_on, t_next, negative_abs(t)))
         add_light(pixels, o + LOCAL, channels, select(goes_on, weight, zero), colors)
     return weighted
@@ -246,19 +275,17 @@ def tile_at(index, tiles_x, starts):
 
 @kernel(inline=True)
 def write_centres(pixels, size, centres):
-    """Write the pixels' centres."""
+    """Write y of the pixels' centres."""
     for block in range(U(BLOCKS)):
-        o, given = block * U(size), U(2 * BLOCKS) + block * U(2 * LANES)
-        store(pixels, o + X, load(centres, given))
-        store(pixels, o + Y, load(centres, given + U(LANES)))
+        store(pixels, block * U(size) + Y, load(centres, U(2 * BLOCKS + LANES) + block * U(2 * LANES)))
 
 
 @kernel(inline=True)
-def write_transmittance(pixels, size, columns, rows):
+def write_transmittance(pixels, size, centres, columns, rows):
     """Write T before any Gaussian; pixels beyond the image's remaining columns and rows let nothing through."""
     for block in range(U(BLOCKS)):
-        o = block * U(size)
-        inside = select(greater(broadcast(F(columns)), load(pixels, o + X)), broadcast(F(1)), broadcast(DEAD))
+        o, x = block * U(size), load(centres, U(2 * BLOCKS) + block * U(2 * LANES))
+        inside = select(greater(broadcast(F(columns)), x), broadcast(F(1)), broadcast(DEAD))
         inside = select(greater(broadcast(F(rows)), load(pixels, o + Y)), inside, broadcast(DEAD))
         store(pixels, o + T, inside)
 
@@ -293,13 +320,6 @@ def channels_of(splats, i):
         broadcast(splats[i, splat.CHANNELS + 2]),
         broadcast(splats[i, splat.CHANNELS + 3]),
     )
-
-
-@kernel(inline=True)
-def log2_alpha_in(pixels, o, form):
-    """log2(alpha) before its limits in the pixels of the block at o."""
-    dx, dy = load(pixels, o + X) + form.dx, load(pixels, o + Y) + form.dy
-    return dx * (dx * form.A + dy * form.B) + (dy * dy * form.C + form.log2_opacity)
 
 
 @kernel(inline=True)

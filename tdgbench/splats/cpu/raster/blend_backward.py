@@ -19,26 +19,29 @@ import numpy as np
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blend import (
+    ACROSS,
     BLOCKS,
+    COLUMN,
+    DX,
     LOCAL,
     NONE,
     TABLES,
     TWO,
     T,
-    X,
     Y,
     channels_of,
-    exp2_in_memory,
     form_of,
-    log2_alpha_in,
     pixel_of,
     tile_at,
+    write_alphas,
     write_centres,
+    write_columns,
     write_transmittance,
 )
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tdgbench.splats.cpu.raster.types import ForwardPass, ImageArrays, Settings, Slots
 from tdgbench.splats.cpu.simd.memory import (
+    LINE,
     aligned_floats,
     load,
     prefetch,
@@ -56,11 +59,7 @@ from tdgbench.splats.cpu.simd.registers import (
     greater_equal,
     lane_sums_of_4,
     lane_sums_of_8,
-    less_equal,
     lowest,
-    maximum,
-    minimum,
-    negative_abs,
     reciprocal,
     select,
 )
@@ -96,9 +95,9 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
     """Return the backward kernel of `tdgbench.splats.cpu.raster.blend.make_blend`."""
     variant = f"{colors}" + "_depth" * depth + "_absgrad" * absgrad
     channels = colors + depth
-    # Floats of a block: x, y, T, light behind, then the gradients of the channels. No literal, so that helpers without
+    # Floats of a block: y, T, light behind, then the gradients of the channels. No literal, so that helpers without
     # channels serve all variants.
-    size = np.int64((4 + channels) * LANES)
+    size = np.int64((3 + channels) * LANES)
     slot_floats = slot_size(channels, absgrad)
 
     @kernel(variant=variant)
@@ -110,16 +109,22 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
         height, width = images.transmittance.shape
         tiles_x = (width + TILE - 1) // TILE
         n_tiles = tiles.starts.shape[0] - 1
-        pixels, alphas = aligned_floats(BLOCKS * size), aligned_floats(2 * BLOCKS * LANES)
-        sums = aligned_floats(2 * LANES)
+        pixels, alphas = aligned_floats(BLOCKS * size), aligned_floats(BLOCKS * LANES)
+        columns, sums = aligned_floats(ACROSS * COLUMN), aligned_floats(2 * LANES)
         write_centres(pixels, size, tables.centres)
         while True:
             index = take_next(counter)
             if index >= n_tiles:
                 break
             tile = tile_at(index, tiles_x, tiles.starts)
-            write_transmittance(pixels, size, width - tile.left, height - tile.top)
+            write_transmittance(pixels, size, tables.centres, width - tile.left, height - tile.top)
             write_gradients(pixels, size, colors, depth, tile, images, gradients)
+            upcoming = tile_at(min(index + 1, n_tiles - 1), tiles_x, tiles.starts)
+            for arrays in (images, gradients):
+                prefetch_pixels(arrays.color, colors, upcoming, height, width)
+                prefetch_pixels(arrays.transmittance, 1, upcoming, height, width)
+                if depth:
+                    prefetch_pixels(arrays.depth, 1, upcoming, height, width)
             end = tile.begin + visits.counts[index]
             for k in range(tile.begin, end):
                 if k + PREFETCH_DISTANCE < end:
@@ -132,16 +137,17 @@ def make_blend_backward(colors: int, depth: bool, absgrad: bool):
                 form = form_of(splats, i, tile)
                 colors_of_splat = channels_of(splats, i)
                 # first what needs no sums: the registers do not hold all at once
-                write_alphas(alphas, pixels, size, form, blocks, limits, tables.powers)
+                write_columns(columns, form, tables.centres)
+                write_alphas(alphas, pixels, size, columns, form, blocks, limits, tables.powers)
                 totals = sum_blocks(
-                    pixels, size, channels, alphas, form, colors_of_splat, blocks, limits.min_transmittance, absgrad
+                    pixels, size, channels, alphas, columns, form, colors_of_splat, blocks, limits, absgrad
                 )
                 slot = U(tiles.slots[U(k)])
                 slots.written[slot] = True
                 at = slot * U(slot_floats)
                 write_slot(slots.values, at, channels, totals, sums)
                 if absgrad:
-                    write_absolute(slots.values, at, channels, pixels, size, alphas, form, blocks, sums)
+                    write_absolute(slots.values, at, channels, pixels, size, alphas, columns, form, blocks, sums)
 
     return blend_backward
 
@@ -171,25 +177,19 @@ def write_gradients(pixels, size, colors, depth, tile, images, gradients):
 
 
 @kernel(inline=True)
-def write_alphas(alphas, pixels, size, form, blocks, limits, powers):
-    """For each of `blocks`, at 2 LANES block: alpha, then −alpha / (1 − alpha), or 1 where alpha is capped."""
-    while blocks != NONE:
-        block = lowest(blocks)
-        blocks &= blocks - U(1)
-        log2_alpha = log2_alpha_in(pixels, block * U(size), form)
-        uncapped = exp2_in_memory(log2_alpha, powers)
-        uncapped = select(greater_equal(log2_alpha, limits.log2_min_alpha), uncapped, broadcast(ZERO))
-        alpha = minimum(uncapped, limits.max_alpha)
-        pull = select(less_equal(uncapped, limits.max_alpha), alpha * reciprocal(alpha - ONE), broadcast(ONE))
-        store(alphas, block * U(2 * LANES), alpha)
-        store(alphas, block * U(2 * LANES) + U(LANES), pull)
+def prefetch_pixels(image, channels, tile, height, width):
+    """Prefetch the pixels of the next tile: its rows are far apart in memory, which hardware does not foresee."""
+    for y in range(tile.top, min(tile.top + TILE, height)):
+        end = (y * width + min(tile.left + TILE, width)) * channels - 1
+        for c in range(channels):
+            prefetch(image, U(end - c * LINE))
 
 
 @kernel(inline=True)
-def sum_blocks(pixels, size, channels, alphas, form, colors, blocks, min_transmittance, absgrad):
+def sum_blocks(pixels, size, channels, alphas, columns, form, colors, blocks, limits, absgrad):
     """Ten registers: the six moments and up to four channels of one splat, summed over `blocks`.
 
-    With absgrad, d/d ln(alpha) of each pixel takes the place of the second register of `alphas`.
+    With absgrad, d/d ln(alpha) of each pixel takes the place of alpha.
     """
     zero = broadcast(ZERO)
     m0, mx, my, mxx, mxy, myy = zero, zero, zero, zero, zero, zero
@@ -198,12 +198,13 @@ def sum_blocks(pixels, size, channels, alphas, form, colors, blocks, min_transmi
         block = lowest(blocks)
         blocks &= blocks - U(1)
         o = block * U(size)
+        alpha = load(alphas, block * U(LANES))
         t = load(pixels, o + T)
-        t_alive = maximum(t, zero)
-        weight = load(alphas, block * U(2 * LANES)) * t_alive
-        t_next = t_alive - weight
-        goes_on = greater_equal(t_next, min_transmittance)
-        store(pixels, o + T, select(goes_on, t_next, negative_abs(t)))
+        weight = alpha * t
+        t_next = t - weight
+        goes_on = greater_equal(t_next, limits.min_transmittance)
+        pull = alpha * reciprocal(alpha - ONE)
+        store(pixels, o + T, select(goes_on, t_next, zero))
         weight = select(goes_on, weight, zero)
         g0 = load(pixels, o + LOCAL + U(LANES))
         color_dot_g = g0 * colors[0]
@@ -223,11 +224,10 @@ def sum_blocks(pixels, size, channels, alphas, form, colors, blocks, min_transmi
         light = weight * color_dot_g
         behind = load(pixels, o + LOCAL) - light
         store(pixels, o + LOCAL, behind)
-        pull = load(alphas, block * U(2 * LANES) + U(LANES))
-        g = select(both(goes_on, greater(zero, pull)), behind * pull + light, zero)
+        g = select(both(goes_on, greater(limits.max_alpha, alpha)), behind * pull + light, zero)
         if absgrad:
-            store(alphas, block * U(2 * LANES) + U(LANES), g)
-        dx, dy = load(pixels, o + X) + form.dx, load(pixels, o + Y) + form.dy
+            store(alphas, block * U(LANES), g)
+        dx, dy = load(columns, (block & U(ACROSS - 1)) * COLUMN + DX), load(pixels, o + Y) + form.dy
         g_dx, g_dy = g * dx, g * dy
         m0 = m0 + g
         mx, my = mx + g_dx, my + g_dy
@@ -254,15 +254,14 @@ def write_slot(slots, o, channels, totals, sums):
 
 
 @kernel(inline=True)
-def write_absolute(slots, o, channels, pixels, size, alphas, form, blocks, sums):
+def write_absolute(slots, o, channels, pixels, size, alphas, columns, form, blocks, sums):
     """Write the last two numbers of a slot: Σ |d/du| and Σ |d/dv| of the image mean, per px; see `sum_blocks`."""
     u, v = broadcast(ZERO), broadcast(ZERO)
     while blocks != NONE:
         block = lowest(blocks)
         blocks &= blocks - U(1)
-        at = block * U(size)
-        g = load(alphas, block * U(2 * LANES) + U(LANES)) * LN_2
-        dx, dy = load(pixels, at + X) + form.dx, load(pixels, at + Y) + form.dy
+        g = load(alphas, block * U(LANES)) * LN_2
+        dx, dy = load(columns, (block & U(ACROSS - 1)) * COLUMN + DX), load(pixels, block * U(size) + Y) + form.dy
         u = u + absolute(g * (dx * (form.A * TWO) + dy * form.B))
         v = v + absolute(g * (dy * (form.C * TWO) + dx * form.B))
     store(sums, 0, lane_sums_of_4(u, v, broadcast(ZERO), broadcast(ZERO)))
