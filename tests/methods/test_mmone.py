@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from methods.mmone import OPACITY_RGB, SH_RGB, as_rgb
+from methods.mmone import OPACITY_RGB, SH_RGB, AS_RGB
 from tdgbench.splats.backends import load_backend
 from tdgbench.splats.view import Pinhole, RenderOptions
 from tdgbench.training.images import RGB, THERMAL
@@ -51,7 +51,7 @@ def test_loss_and_gradients_are_those_of_the_reference(small_gray_scene):
     model.density.observe(model._views)
     camera = Pinhole.of(view.camera).to(leaves.means)
     options = RenderOptions(blending=model.blending)
-    both = {"rgb": as_rgb(leaves, 1), "thermal": leaves.activated(1)}
+    both = {"rgb": AS_RGB(leaves, 1), "thermal": leaves.activated(1)}
     renders = {name: load_backend("reference").render(given, camera, options) for name, given in both.items()}
     assert min(render.image.max() for render in renders.values()) > 1
     rgb, thermal = (render.image.clamp(0, 1) for render in renders.values())
