@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from methods.mmone import OPACITY_RGB, SH_RGB, AS_RGB
+from methods.mmone import AS_RGB, OPACITY_RGB, SH_RGB
 from tdgbench.splats.backends import load_backend
 from tdgbench.splats.view import Pinhole, RenderOptions
 from tdgbench.training.images import RGB, THERMAL
