@@ -63,9 +63,9 @@ def test_rendered_fields_are_the_reference(channels, degree, used, fields):
 
 
 def test_fields_that_the_kernels_do_not_take_pass_through_autograd():
-    """Too many channels, and three colour sets."""
+    """Too many channels, three colour sets, one twice."""
     given, doubles = with_rgb(cloud(3, 1)), with_rgb(cloud(3, 1)).map(torch.Tensor.double)
-    for colors, depth in ((("sh", "sh_rgb"), True), (("sh_rgb", "sh", "sh_rgb"), False)):
+    for colors, depth in ((("sh", "sh_rgb"), True), (("sh_rgb", "sh", "sh_rgb"), False), (("sh", "sh"), False)):
         of_view = {"hook": RenderedFields(colors), "depth": depth}
         assert isinstance(backward_pass(given, "cpu", 1, **of_view).gradients, Gradients)
         fast, exact = (gradients_of(*on, 1, **of_view) for on in ((given, "cpu"), (doubles, "reference")))

@@ -27,7 +27,7 @@ from tdgbench.splats.cpu.raster.types import (
     Span,
     pack_camera,
     pack_limits,
-    plain_columns,
+    plain_channels,
     source_of_arrays,
     source_of_rows,
 )
@@ -120,7 +120,8 @@ class CpuBackend(Backend):
         absgrad = torch.zeros(len(means), 2) if options.absgrad else None
         images = []
         for part, of_pass in _passes(colors.shape[-1], options):
-            settings = _settings(camera, _plain(part.stop - part.start, degree, of_pass), of_pass)
+            blended = plain_channels(part.stop - part.start, degree, of_pass.depth, of_pass.absgrad)
+            settings = _settings(camera, blended, of_pass)
             parameters = (means, quats, scales, opacities, colors[..., part].contiguous())
             image, depth, transmittance, radii = Rasterize.apply(*parameters, probe, absgrad, settings)
             images.append(image)
@@ -139,7 +140,7 @@ class CpuBackend(Backend):
         def sums(camera: Pinhole, maps: Tensor) -> tuple[Tensor, Tensor]:
             if maps.shape != (camera.height, camera.width, channels):
                 raise ValueError(f"maps of {channels} channels were announced; these are {tuple(maps.shape)}")
-            settings = _settings(camera, _plain(channels, -1, RenderOptions()), RenderOptions())
+            settings = _settings(camera, plain_channels(channels, -1, depth=False), RenderOptions())
             view = forward(source, settings)
             found = blend_backward(source, settings, view, *_arrays((maps, None, None))).compute()
             colors = _dense(found.values[:, COLORS_AT:], found.index, found.spans, count, channels)
@@ -196,23 +197,19 @@ def _passes(channels: int, options: RenderOptions) -> Iterator[tuple[slice, Rend
         yield part, RenderOptions(options.depth and first == firsts[-1], behind, options.blending, options.absgrad)
 
 
-def _plain(colors: int, degree: int, options: RenderOptions) -> Channels:
-    return Channels(colors, degree, options.depth, plain_columns(colors, degree), options.absgrad)
-
-
 def _channels(state: Rows, options: StateOptions) -> Channels | None:
-    """Return what to render of the rows of a state; None if the kernels cannot."""
+    """Return what is rendered of the rows of a state; None if the kernels cannot."""
     hook = RenderedFields() if options.hook is None else options.hook
-    if not isinstance(hook, RenderedFields) or len(hook.colors) > 2:
+    if not isinstance(hook, RenderedFields) or len(hook.colors) > 2 or hook.colors[0] in hook.colors[1:]:
         return None
-    counts, bases = [state.channels_of(name) for name in hook.colors], num_bases(options.sh_degree)
-    sets, opacity = [state.columns_of(name) for name in hook.colors], state.columns_of(hook.opacity)
-    ends = [at.start + bases * count for at, count in zip(sets, counts, strict=True)]
-    used, colors = max(opacity.stop, *ends), sum(counts)
-    whole = opacity.stop == opacity.start + 1 and all(end <= at.stop for end, at in zip(ends, sets, strict=True))
-    if not whole or used > GATHERED or colors + options.depth > MAX_CHANNELS:
+    sets = [(state.columns_of(name), state.channels_of(name)) for name in hook.colors]
+    opacity, bases = state.columns_of(hook.opacity), num_bases(options.sh_degree)
+    ends = [at.start + bases * count for at, count in sets]
+    used, colors = max(opacity.stop, *ends), sum(count for _, count in sets)
+    has_all = opacity.stop == opacity.start + 1 and all(end <= at.stop for end, (at, _) in zip(ends, sets, strict=True))
+    if not has_all or used > GATHERED or colors + options.depth > MAX_CHANNELS:
         return None
-    columns = Columns(opacity.start, sets[0].start, sets[-1].start, counts[0], used)
+    columns = Columns(opacity.start, sets[0][0].start, sets[-1][0].start, sets[0][1], used)
     return Channels(colors, options.sh_degree, options.depth, columns, options.absgrad)
 
 

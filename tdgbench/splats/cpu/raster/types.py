@@ -215,9 +215,10 @@ def source_of_rows(
     return GaussianSource(len(values), Parameters(values.reshape(-1), values.shape[1], raw), tested, stale)
 
 
-def plain_columns(colors: int, degree: int) -> Columns:
-    """Return the columns of rows with one opacity and one colour set; see `Channels`."""
-    return Columns(OPACITY_AT, COLORS_AT, COLORS_AT, colors, COLORS_AT + colors * max((degree + 1) ** 2, 1))
+def plain_channels(colors: int, degree: int, depth: bool, absgrad: bool = False) -> Channels:
+    """Return the channels of rows with one opacity and one colour set."""
+    used = COLORS_AT + colors * max((degree + 1) ** 2, 1)
+    return Channels(colors, degree, depth, Columns(OPACITY_AT, COLORS_AT, COLORS_AT, colors, used), absgrad)
 
 
 def pack_camera(viewmat, K, width: int, height: int, near_plane: float, far_plane: float, eps2d: float) -> PackedCamera:
