@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -86,7 +85,8 @@ class Gaussians:
         return self.map(torch.Tensor.detach)
 
 
-class RenderedFields(NamedTuple):
+@dataclass(frozen=True)
+class RenderedFields:
     """A hook that renders chosen fields of Gaussians.
 
     The backend `cpu` then needs no gradients of all Gaussians: it renders one opacity and one or two colour sets, of up
