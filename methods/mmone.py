@@ -28,14 +28,16 @@ from tdgbench.splats.density import (
     TrainingView,
     strongest,
 )
+from tdgbench.splats.gaussians import RenderedFields
 from tdgbench.splats.gradients import Gradients, PendingGradients
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.state import TrainingState
-from tdgbench.splats.view import GaussianTensors, Render
+from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.method import Frame, Step
 
 OPACITY_RGB = "opacity_logits_rgb"  # a further field, as SH_RGB; `sh` and `opacity_logits` are the thermal ones
+AS_RGB = RenderedFields((SH_RGB,), OPACITY_RGB)
 Opacity = Annotated[float, Field(gt=0, lt=1)]
 Decompose = Literal["released", "described"]
 
@@ -189,17 +191,11 @@ class MMOne(OMMG):
     def _rendered(self, camera: Camera, modality: str, depth: bool = False) -> Render:
         if modality == "rgb":
             black = self.model.state.values.new_zeros(3)
-            render = self.model.render(camera, hook=as_rgb, background=black, label=modality)
+            render = self.model.render(camera, hook=AS_RGB, background=black, label=modality)
         else:
             render = self.model.render(camera, depth=depth, label=modality)
         render.image = render.image.clamp(0, 1)
         return render
-
-
-def as_rgb(gaussians: Gaussians, degree: int) -> GaussianTensors:
-    """Return the Gaussians with their RGB colours and opacities."""
-    opacities, colors = _opacities(gaussians)["rgb"], gaussians.extra_fields[SH_RGB]
-    return gaussians.activated(degree)._replace(opacities=opacities, colors=colors)
 
 
 def _opacities(gaussians: Gaussians) -> dict[str, Tensor]:

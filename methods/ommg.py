@@ -13,13 +13,14 @@ from torch import Tensor
 
 from methods.gaussian_splatting import GaussianSplatting
 from tdgbench.scenes import View
-from tdgbench.splats import Gaussians
+from tdgbench.splats.gaussians import RenderedFields
 from tdgbench.splats.initialize import gaussians_from_points
-from tdgbench.splats.view import GaussianTensors, Render
+from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.method import Frame, Step
 
 SH_RGB = "sh_rgb"  # the further field
+BOTH_COLORS, RGB_COLORS = RenderedFields(("sh", SH_RGB)), RenderedFields((SH_RGB,))
 
 
 class OMMG(GaussianSplatting):
@@ -39,7 +40,7 @@ class OMMG(GaussianSplatting):
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
-        render = self.model.render(view.camera, hook=with_both_colors, background=self._background())
+        render = self.model.render(view.camera, hook=BOTH_COLORS, background=self._background())
         channels = self.model.state.channels
         render.image, rgb = render.image.split([channels, 3], dim=2)
         return self._compared(view, render, rgb)
@@ -54,20 +55,10 @@ class OMMG(GaussianSplatting):
     def render(self, frame: Frame, modality: str = "thermal") -> Render:
         if modality == "rgb":
             black = self.model.state.values.new_zeros(3)
-            return self.model.render(frame.camera, hook=with_rgb_colors, background=black)
+            return self.model.render(frame.camera, hook=RGB_COLORS, background=black)
         return self.model.render(frame.camera, depth=True)
 
     def _background(self) -> Tensor | None:
         """Return what is behind both images (C + 3,); None: black."""
         behind = self.model.background
         return None if behind is None else torch.cat([behind, behind.new_zeros(3)])
-
-
-def with_both_colors(gaussians: Gaussians, degree: int) -> GaussianTensors:
-    """Return the Gaussians with the channels of both colour sets, thermal ones first."""
-    return gaussians.activated(degree)._replace(colors=torch.cat([gaussians.sh, gaussians.extra_fields[SH_RGB]], dim=2))
-
-
-def with_rgb_colors(gaussians: Gaussians, degree: int) -> GaussianTensors:
-    """Return the Gaussians with their RGB colours."""
-    return gaussians.activated(degree)._replace(colors=gaussians.extra_fields[SH_RGB])

@@ -85,6 +85,25 @@ class Gaussians:
         return self.map(torch.Tensor.detach)
 
 
+@dataclass(frozen=True)
+class RenderedFields:
+    """A hook that renders chosen fields of Gaussians.
+
+    The backend `cpu` then needs no gradients of all Gaussians: it renders one opacity and one or two colour sets, of up
+    to six channels in all, as it does the usual ones.
+    """
+
+    colors: tuple[str, ...] = ("sh",)  # colour sets (N, K, C), whose channels follow each other
+    opacity: str = "opacity_logits"  # (N,) or (N, 1)
+
+    def __call__(self, gaussians: Gaussians, sh_degree: int) -> GaussianTensors:
+        """Return the fields after their activations, with the harmonics up to a degree."""
+        fields = dict(gaussians.items())
+        opacities = fields[self.opacity].reshape(len(gaussians)).sigmoid()
+        colors = torch.cat([fields[name] for name in self.colors], dim=2)
+        return gaussians.activated(sh_degree)._replace(opacities=opacities, colors=colors)
+
+
 def padded(columns: int) -> int:
     """Return the number of columns rounded up to whole cache lines, as of rows of gradients.
 

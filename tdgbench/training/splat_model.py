@@ -107,7 +107,8 @@ class SplatModel(Part):
         """Render at the SH degree in use, over the background. The backward pass is observed by density control.
 
         hook: differentiable function from the Gaussians and the SH degree to the tensors that are rendered. Steps are
-        slower with a hook, or a pose that requires a gradient: the gradients of all Gaussians pass through torch.
+        slower with a hook other than `RenderedFields`, or a pose that requires a gradient: the gradients of all
+        Gaussians pass through torch.
         background: (D,) behind the D channels that a hook renders; by default the model's.
         label: tells density control which of an iteration's renders this is.
         """

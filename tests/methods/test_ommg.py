@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from methods.mmone import OPACITY_RGB
-from methods.ommg import with_both_colors, with_rgb_colors
+from methods.ommg import BOTH_COLORS, RGB_COLORS
 from tdgbench.training.images import RGB
 from tdgbench.training.losses import photometric, thermal_loss
 from tests.helpers.training import ready_to_train, take_gradients, train
@@ -16,7 +16,7 @@ def test_the_loss_is_half_of_both(scene, request):
     view = trainer.method.views.views[0]
     trainer.method.views.next = lambda: view
     step = trainer.stage.step(1)
-    rgb = trainer.method.model.render(view.camera, hook=with_rgb_colors).image
+    rgb = trainer.method.model.render(view.camera, hook=RGB_COLORS).image
     expected = photometric(rgb, RGB.tensors_of(view, rgb.device)[0], 0.2).item()
     expected += thermal_loss(step.render.image, step.target, 0.2, 0.6, "released").item()
     assert step.loss.item() == pytest.approx(expected / 2, rel=1e-5)
@@ -35,9 +35,9 @@ def test_density_control_reads_one_gradient_of_the_sum(small_gray_scene):
         return torch.zeros(len(model), 2).index_add(0, index, image[:, :2])
 
     both, gray, rgb = (
-        gradient(with_both_colors, slice(0, 4)),
+        gradient(BOTH_COLORS, slice(0, 4)),
         gradient(None, slice(0, 1)),
-        gradient(with_rgb_colors, slice(0, 3)),
+        gradient(RGB_COLORS, slice(0, 3)),
     )
     assert torch.allclose(both, gray + rgb, rtol=1e-3, atol=1e-5 * float(both.abs().max()))
 

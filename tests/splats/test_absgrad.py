@@ -25,7 +25,7 @@ def absgrad_of(name, channels, degree, mode):
 
 
 @pytest.mark.parametrize(
-    ("channels", "degree", "mode"), [(1, None, "RGB+D"), (3, 1, "RGB+D"), (1, 2, "RGB"), (4, None, "RGB")]
+    ("channels", "degree", "mode"), [(1, None, "RGB+D"), (3, 1, "RGB+D"), (1, 2, "RGB"), (6, None, "RGB")]
 )
 def test_the_core_agrees_with_the_reference(channels, degree, mode):
     _, found = absgrad_of("cpu", channels, degree, mode)
@@ -75,8 +75,8 @@ def test_a_hook_leaves_the_same_absolute_gradients():
 
 
 def test_what_a_backend_cannot_give_is_an_error(monkeypatch):
-    with pytest.raises(ValueError, match=r"up to 4 channels, and 4 channels and depth were requested; use backend=ref"):
-        absgrad_of("cpu", 4, None, "RGB+D")
+    with pytest.raises(ValueError, match=r"up to 6 channels, and 6 channels and depth were requested; use backend=ref"):
+        absgrad_of("cpu", 6, None, "RGB+D")
 
     class Without(backend.Backend):
         def render(self, gaussians, camera, options):

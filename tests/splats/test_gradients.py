@@ -5,8 +5,11 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
+from tdgbench.splats.gaussians import RenderedFields
 from tdgbench.splats.gradients import Gradients, GradientStatistics
-from tests.splats.backward_passes import HEIGHT, WIDTH, backward_pass, cloud
+from tests.splats.backward_passes import HEIGHT, WIDTH, backward_pass, cloud, with_rgb
+
+BOTH = RenderedFields(("sh", "sh_rgb"))
 
 
 def test_dense_gradients_have_every_gaussian():
@@ -36,13 +39,14 @@ def test_the_sum_of_two_views():
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-@pytest.mark.parametrize(("channels", "used"), [(1, 3), (3, 0), (3, 2)])
-def test_one_pass_leaves_the_bytes_of_two(threads, channels, used):
+@pytest.mark.parametrize(("channels", "used", "hook"), [(1, 3, None), (3, 0, None), (3, 2, None), (3, 2, BOTH)])
+def test_one_pass_leaves_the_bytes_of_two(threads, channels, used, hook):
     """Over several batches of Gaussians and a register that is not full; absolute gradients change no other result."""
     count, left = 700, []
     pool.set_threads(threads)
     for absgrad, read_first in ((True, False), (True, True), (False, False), (False, True)):
-        done, sums = backward_pass(cloud(channels, 3, count=count), "cpu", used, absgrad=absgrad), torch.zeros(2, count)
+        of_view, sums = {"absgrad": absgrad, "hook": hook, "depth": hook is None}, torch.zeros(2, count)
+        done = backward_pass(with_rgb(cloud(channels, 3, count=count)), "cpu", used, **of_view)
         statistics = GradientStatistics(sums[0], sums[1] if absgrad else sums[1, :0], 0.5 * WIDTH, 0.5 * HEIGHT)
         gradients = done.gradients.compute() if read_first else done.gradients
         done.optimizer.step(gradients, 1, statistics=statistics)

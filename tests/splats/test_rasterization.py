@@ -95,7 +95,8 @@ def compare(parameters, camera, size, backend, seed=0, **options):
 @pytest.mark.parametrize(
     ("mode", "channels", "degree"),
     [(m, c, d) for m in ("RGB", "RGB+D", "RGB+ED") for c in (1, 3) for d in (None, 0, 1, 2, 3)]
-    + [("D", 1, None), ("ED", 1, None)],  # depth alone does not depend on colours
+    + [("D", 1, None), ("ED", 1, None)]  # depth alone does not depend on colours
+    + [("RGB+D", 5, 3), ("RGB", 6, 1), ("RGB", 6, None)],
 )
 def test_agrees_with_reference(backend, mode, channels, degree):
     parameters = random_gaussians(150, seed=channels, degree=degree, channels=channels)

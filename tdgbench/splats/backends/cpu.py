@@ -18,21 +18,25 @@ from tdgbench.splats.cpu.losses.photometric import image_loss
 from tdgbench.splats.cpu.precompile import compiled_alongside
 from tdgbench.splats.cpu.raster.dense import of_rows
 from tdgbench.splats.cpu.raster.passes import blend_backward, forward
+from tdgbench.splats.cpu.raster.projection import GATHERED
 from tdgbench.splats.cpu.raster.types import (
+    MAX_CHANNELS,
     Channels,
+    Columns,
     Settings,
     Span,
     pack_camera,
     pack_limits,
+    plain_channels,
     source_of_arrays,
     source_of_rows,
 )
 from tdgbench.splats.cpu.scratch import empty_rows, free_buffers
-from tdgbench.splats.gaussians import COLORS_AT, GEOMETRY_SIZES
+from tdgbench.splats.gaussians import COLORS_AT, GEOMETRY_SIZES, RenderedFields
 from tdgbench.splats.gradients import Gradients, GradientStatistics, Rows, RowSteps, Tolerance
+from tdgbench.splats.harmonics import num_bases
 from tdgbench.splats.view import GaussianTensors, Pinhole, Projection, Render, RenderOptions
 
-MAX_CHANNELS = 4
 MAX_SIDE = 32_767  # px
 EVERYWHERE = Tolerance(mean=1e30, log_scale=0.0)  # culls nothing
 _TRIGGER = torch.zeros((), requires_grad=True)  # has torch call the backward pass of `_RenderRows`; it gets no gradient
@@ -116,7 +120,8 @@ class CpuBackend(Backend):
         absgrad = torch.zeros(len(means), 2) if options.absgrad else None
         images = []
         for part, of_pass in _passes(colors.shape[-1], options):
-            settings = _settings(camera, part.stop - part.start, degree, of_pass)
+            blended = plain_channels(part.stop - part.start, degree, of_pass.depth, of_pass.absgrad)
+            settings = _settings(camera, blended, of_pass)
             parameters = (means, quats, scales, opacities, colors[..., part].contiguous())
             image, depth, transmittance, radii = Rasterize.apply(*parameters, probe, absgrad, settings)
             images.append(image)
@@ -135,7 +140,7 @@ class CpuBackend(Backend):
         def sums(camera: Pinhole, maps: Tensor) -> tuple[Tensor, Tensor]:
             if maps.shape != (camera.height, camera.width, channels):
                 raise ValueError(f"maps of {channels} channels were announced; these are {tuple(maps.shape)}")
-            settings = _settings(camera, channels, -1, RenderOptions())
+            settings = _settings(camera, plain_channels(channels, -1, depth=False), RenderOptions())
             view = forward(source, settings)
             found = blend_backward(source, settings, view, *_arrays((maps, None, None))).compute()
             colors = _dense(found.values[:, COLORS_AT:], found.index, found.spans, count, channels)
@@ -146,13 +151,14 @@ class CpuBackend(Backend):
     def render_state(
         self, state: Rows, steps: RowSteps, camera: Pinhole, options: StateOptions, collect: Collect
     ) -> Render:
-        if options.hook is not None or camera.viewmat.requires_grad or state.channels + options.depth > MAX_CHANNELS:
+        channels = _channels(state, options)
+        if channels is None or camera.viewmat.requires_grad:
             return super().render_state(state, steps, camera.to(state.values), options, collect)
         assert isinstance(steps, DeferredSteps)
         tolerance = options.tolerance or EVERYWHERE
         rows = state.arrays()
         source = source_of_rows(rows.values, rows.bounds, *tolerance, steps.stale())
-        settings = _settings(camera, state.channels, options.sh_degree, options.of_view)
+        settings = _settings(camera, channels, options.of_view)
         image, depth, transmittance = _RenderRows.apply(_TRIGGER, source, settings, collect)
         return Render(image, depth if options.depth else None, transmittance)
 
@@ -191,17 +197,32 @@ def _passes(channels: int, options: RenderOptions) -> Iterator[tuple[slice, Rend
         yield part, RenderOptions(options.depth and first == firsts[-1], behind, options.blending, options.absgrad)
 
 
-def _settings(camera: Pinhole, channels: int, degree: int, options: RenderOptions) -> Settings:
+def _channels(state: Rows, options: StateOptions) -> Channels | None:
+    """Return what is rendered of the rows of a state; None if the kernels cannot."""
+    hook = RenderedFields() if options.hook is None else options.hook
+    if not isinstance(hook, RenderedFields) or len(hook.colors) > 2 or hook.colors[0] in hook.colors[1:]:
+        return None
+    sets = [(state.columns_of(name), state.channels_of(name)) for name in hook.colors]
+    opacity, bases = state.columns_of(hook.opacity), num_bases(options.sh_degree)
+    ends = [at.start + bases * count for at, count in sets]
+    used, colors = max(opacity.stop, *ends), sum(count for _, count in sets)
+    has_all = opacity.stop == opacity.start + 1 and all(end <= at.stop for end, (at, _) in zip(ends, sets, strict=True))
+    if not has_all or used > GATHERED or colors + options.depth > MAX_CHANNELS:
+        return None
+    columns = Columns(opacity.start, sets[0][0].start, sets[-1][0].start, sets[0][1], used)
+    return Channels(colors, options.sh_degree, options.depth, columns, options.absgrad)
+
+
+def _settings(camera: Pinhole, channels: Channels, options: RenderOptions) -> Settings:
     """Return the kernel settings of a view. Raises ValueError if this backend cannot render it."""
     if max(camera.width, camera.height) > MAX_SIDE:
         asked = f"{camera.width}×{camera.height}"
         raise ValueError(f"backend cpu renders up to {MAX_SIDE} px a side; {asked} was requested")
     packed = pack_camera(camera.viewmat.detach().numpy(), camera.K.detach().numpy(), *camera[2:])
-    blended = Channels(channels, degree, options.depth, options.absgrad)
     (background,) = _arrays([options.background])
     if background is None:
-        background = np.zeros(channels, np.float32)
-    return Settings(packed, camera.width, camera.height, blended, background, pack_limits(options.blending))
+        background = np.zeros(channels.colors, np.float32)
+    return Settings(packed, camera.width, camera.height, channels, background, pack_limits(options.blending))
 
 
 BACKEND = CpuBackend()

@@ -20,7 +20,6 @@ from tdgbench.splats.cpu.raster.blend import blend_tiles
 from tdgbench.splats.cpu.raster.passes import blend_backward
 from tdgbench.splats.cpu.raster.types import (
     FLOATS,
-    Channels,
     ForwardPass,
     Projected,
     Settings,
@@ -28,6 +27,7 @@ from tdgbench.splats.cpu.raster.types import (
     TileLists,
     pack_camera,
     pack_limits,
+    plain_channels,
     source_of_rows,
 )
 from tdgbench.splats.cpu.scratch import Workspace
@@ -70,7 +70,8 @@ def compile_last_kernels(kinds: list[str]) -> None:
 def blend_nothing(colors: int, depth: bool, backward: bool) -> None:
     """Run the blend, and if asked for its backward pass and that of the projection, without pixels and Gaussians."""
     camera = pack_camera(np.eye(4), np.eye(3), 0, 0, 1.0, 1.0, 0.0)
-    settings = Settings(camera, 0, 0, Channels(colors, 0, depth), np.zeros(colors, np.float32), pack_limits(AS_3DGS))
+    channels = plain_channels(colors, 0, depth)
+    settings = Settings(camera, 0, 0, channels, np.zeros(colors, np.float32), pack_limits(AS_3DGS))
     rows = np.empty((0, padded(COLORS_AT + colors)), np.float32)
     source = source_of_rows(rows, np.empty((0, 4), np.float32), 0.0, 0.0)
     ids, pairs = np.empty(0, np.int32), np.empty((0, 2), np.int32)

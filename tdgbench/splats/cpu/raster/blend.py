@@ -117,7 +117,7 @@ def blend_tiles(settings: Settings, splats: Splats, tiles: TileLists, active_blo
 
 @functools.cache
 def make_blend(colors: int, depth: bool):
-    """Return the forward kernel for `colors` channels, and depth as one more; 1 to 4 in all."""
+    """Return the forward kernel for `colors` channels, and depth as one more; 1 to MAX_CHANNELS in all."""
     variant = f"{colors}_depth" if depth else f"{colors}"
     # not literals: one helper serves all variants
     channels, colors, depth = np.int64(colors + depth), np.int64(colors), np.bool_(depth)
@@ -207,7 +207,7 @@ def write_alphas(alphas, pixels, size, columns, form, blocks, limits, powers):
 
 @kernel(inline=True)
 def add_splat(pixels, size, channels, alphas, colors, blocks, min_transmittance):
-    """Blend one splat into `blocks`; returns those in which it has weight. colors: four registers."""
+    """Blend one splat into `blocks`; returns those in which it has weight. colors: six registers."""
     zero = broadcast(ZERO)
     weighted = NONE
     while blocks != NONE:
@@ -228,7 +228,7 @@ def add_splat(pixels, size, channels, alphas, colors, blocks, min_transmittance)
 @kernel(inline=True)
 def add_light(pixels, o, channels, weight, colors):
     """Add weight times the splat's channels to those that begin at o."""
-    o1, o2, o3 = o + U(LANES), o + U(2 * LANES), o + U(3 * LANES)
+    o1, o2, o3, o4, o5 = o + U(LANES), o + U(2 * LANES), o + U(3 * LANES), o + U(4 * LANES), o + U(5 * LANES)
     store(pixels, o, load(pixels, o) + weight * colors[0])
     if channels > 1:
         store(pixels, o1, load(pixels, o1) + weight * colors[1])
@@ -236,6 +236,10 @@ def add_light(pixels, o, channels, weight, colors):
         store(pixels, o2, load(pixels, o2) + weight * colors[2])
     if channels > 3:
         store(pixels, o3, load(pixels, o3) + weight * colors[3])
+    if channels > 4:
+        store(pixels, o4, load(pixels, o4) + weight * colors[4])
+    if channels > 5:
+        store(pixels, o5, load(pixels, o5) + weight * colors[5])
 
 
 @kernel(inline=True)
@@ -313,12 +317,14 @@ def form_of(splats, i, tile):
 
 @kernel(inline=True)
 def channels_of(splats, i):
-    """Four registers: the channels of row i of splats (n, 16); those not in use hold anything."""
+    """Six registers: the channels of row i of splats (n, 16); those not in use hold anything."""
     return (
         broadcast(splats[i, splat.CHANNELS]),
         broadcast(splats[i, splat.CHANNELS + 1]),
         broadcast(splats[i, splat.CHANNELS + 2]),
         broadcast(splats[i, splat.CHANNELS + 3]),
+        broadcast(splats[i, splat.CHANNELS + 4]),
+        broadcast(splats[i, splat.CHANNELS + 5]),
     )
 
 

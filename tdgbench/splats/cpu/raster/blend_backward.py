@@ -86,8 +86,9 @@ def fill_slots(settings: Settings, view: ForwardPass, gradients: ImageArrays, sl
         np.zeros(1, np.int64), view.splats.values, view.tiles, settings.limits, TABLES, view.images, gradients,
         view.visits, slots,
     )  # fmt: skip
-    colors, _, depth, absgrad = settings.channels
-    pool.run(make_blend_backward(colors, depth, absgrad), [arguments] * pool.get_threads())
+    channels = settings.channels
+    kernel_of_view = make_blend_backward(channels.colors, channels.depth, channels.absgrad)
+    pool.run(kernel_of_view, [arguments] * pool.get_threads())
 
 
 @functools.cache
@@ -187,13 +188,13 @@ def prefetch_pixels(image, channels, tile, height, width):
 
 @kernel(inline=True)
 def sum_blocks(pixels, size, channels, alphas, columns, form, colors, blocks, limits, absgrad):
-    """Ten registers: the six moments and up to four channels of one splat, summed over `blocks`.
+    """Twelve registers: the six moments and up to six channels of one splat, summed over `blocks`.
 
     With absgrad, d/d ln(alpha) of each pixel takes the place of alpha.
     """
     zero = broadcast(ZERO)
     m0, mx, my, mxx, mxy, myy = zero, zero, zero, zero, zero, zero
-    k0, k1, k2, k3 = zero, zero, zero, zero
+    k0, k1, k2, k3, k4, k5 = zero, zero, zero, zero, zero, zero
     while blocks != NONE:
         block = lowest(blocks)
         blocks &= blocks - U(1)
@@ -221,6 +222,14 @@ def sum_blocks(pixels, size, channels, alphas, columns, form, colors, blocks, li
             g3 = load(pixels, o + LOCAL + U(4 * LANES))
             color_dot_g = color_dot_g + g3 * colors[3]
             k3 = k3 + weight * g3
+        if channels > 4:
+            g4 = load(pixels, o + LOCAL + U(5 * LANES))
+            color_dot_g = color_dot_g + g4 * colors[4]
+            k4 = k4 + weight * g4
+        if channels > 5:
+            g5 = load(pixels, o + LOCAL + U(6 * LANES))
+            color_dot_g = color_dot_g + g5 * colors[5]
+            k5 = k5 + weight * g5
         light = weight * color_dot_g
         behind = load(pixels, o + LOCAL) - light
         store(pixels, o + LOCAL, behind)
@@ -232,13 +241,13 @@ def sum_blocks(pixels, size, channels, alphas, columns, form, colors, blocks, li
         m0 = m0 + g
         mx, my = mx + g_dx, my + g_dy
         mxx, mxy, myy = mxx + g_dx * dx, mxy + g_dx * dy, myy + g_dy * dy
-    return m0, mx, my, mxx, mxy, myy, k0, k1, k2, k3
+    return m0, mx, my, mxx, mxy, myy, k0, k1, k2, k3, k4, k5
 
 
 @kernel(inline=True)
 def write_slot(slots, o, channels, totals, sums):
     """slots[o : o + slot] = lane sums of the totals; sums (2 · LANES,) is scratch."""
-    m0, mx, my, mxx, mxy, myy, k0, k1, k2, k3 = totals
+    m0, mx, my, mxx, mxy, myy, k0, k1, k2, k3, k4, k5 = totals
     first_sums = lane_sums_of_8(m0, mx, my, mxx, mxy, myy, k0, k1)
     if LANES == 8 and MOMENTS + channels >= 8:
         store_anywhere(slots, o, first_sums)
@@ -247,10 +256,9 @@ def write_slot(slots, o, channels, totals, sums):
         for j in range(U(min(MOMENTS + channels, 8))):
             slots[o + j] = sums[j]
     if channels > 2:
-        store(sums, LANES, lane_sums_of_4(k2, k3, broadcast(ZERO), broadcast(ZERO)))
-        slots[o + U(8)] = sums[U(LANES)]
-        if channels > 3:
-            slots[o + U(9)] = sums[U(LANES + 1)]
+        store(sums, LANES, lane_sums_of_4(k2, k3, k4, k5))
+        for j in range(U(channels - 2)):
+            slots[o + U(8) + j] = sums[U(LANES) + j]
 
 
 @kernel(inline=True)

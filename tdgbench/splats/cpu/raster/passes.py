@@ -34,7 +34,7 @@ from tdgbench.splats.cpu.raster.types import (
 from tdgbench.splats.cpu.scratch import Workspace
 from tdgbench.splats.cpu.simd.registers import LANES
 from tdgbench.splats.cpu.statistics import StatisticsArrays
-from tdgbench.splats.gaussians import COLORS_AT, padded
+from tdgbench.splats.gaussians import padded
 from tdgbench.splats.gradients import Gradients, PendingGradients
 
 
@@ -74,8 +74,7 @@ class Blended(PendingGradients):
     @property
     def columns(self) -> int:
         """Columns of a row of gradients."""
-        colors, degree = self.settings.channels[:2]
-        return padded(COLORS_AT + colors * max((degree + 1) ** 2, 1))
+        return padded(self.settings.channels.columns.used)
 
     def compute(self, image_only: bool = False) -> Gradients:
         workspace = Workspace()
@@ -135,8 +134,8 @@ def blend_backward(
         )
     )
     workspace = Workspace()
-    colors, _, depth, absgrad = settings.channels
-    floats = slot_size(colors + depth, absgrad)
+    channels = settings.channels
+    floats = slot_size(channels.colors + channels.depth, channels.absgrad)
     values = workspace.take("slots", view.pair_capacity * floats + SLOT, np.float32)  # they are read by whole registers
     slots = Slots(values, np.zeros(view.pair_capacity, np.bool_))
     fill_slots(settings, view, gradients, slots)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.splats.cpu.jit import kernel
+from tdgbench.splats.cpu.raster.types import MAX_CHANNELS
 from tdgbench.splats.cpu.simd.memory import gather_block, load
 from tdgbench.splats.cpu.simd.registers import (
     LANES,
@@ -32,14 +33,14 @@ from tdgbench.splats.cpu.simd.registers import (
     square_root,
     widen,
 )
-from tdgbench.splats.gaussians import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT, padded
+from tdgbench.splats.gaussians import COLORS_AT, MEANS_AT, QUATS_AT, SCALES_AT, padded
 
 F = np.float32
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
 FAR_AWAY = F(1e9)  # px: beyond it, whole numbers of pixels make no sense
 LOG2_E = F(math.log2(math.e))
 LARGEST_EXPONENT = F(126)
-GATHERED = padded(COLORS_AT + 16 * 4)  # registers: a Gaussian of degree 3 with four channels
+GATHERED = padded(COLORS_AT + 16 * MAX_CHANNELS)  # registers: a Gaussian of degree 3
 SHORTEST = F(1e-12)  # quaternions are divided by no less, as torch does
 
 
@@ -50,11 +51,20 @@ def exponential(x):
 
 
 @kernel(inline=True)
-def collect(parameters, rows, k, colors, gathered):
-    """Fill `gathered` with the Gaussians rows[k …] of `Parameters`, `colors` numbers of their colours."""
+def collect(parameters, rows, k, columns, gathered):
+    """Fill `gathered` with the Gaussians rows[k …] of `Parameters`, as many columns as `Columns` uses."""
     values, stride = parameters.values, parameters.stride
-    for c in range(0, COLORS_AT + colors, LANES):
+    for c in range(0, columns.used, LANES):
         gather_block(values, rows, k, stride, c, gathered, c * LANES)
+
+
+@kernel(inline=True)
+def color_column(channels, b, c):
+    """The column of coefficient b of channel c of `Channels`."""
+    columns = channels.columns
+    if c < columns.split:
+        return columns.first + b * columns.split + c
+    return columns.second + b * (channels.colors - columns.split) + c - columns.split
 
 
 @kernel(inline=True)
@@ -73,9 +83,9 @@ def deviations(gathered, raw):
 
 
 @kernel(inline=True)
-def opacity_and_log2(gathered, raw):
+def opacity_and_log2(gathered, column, raw):
     """Opacity and its log2; `raw`: `gathered` holds the logit x: o = 1 / (1 + e^−x), log2 o = −log2(1 + e^−x)."""
-    opacity = load(gathered, OPACITY_AT * LANES)
+    opacity = load(gathered, column * LANES)
     if raw:
         inverse = exponential(ZERO - opacity) + ONE
         opacity = divide(ONE, inverse)

@@ -15,7 +15,7 @@ from tdgbench.splats.cpu.adam import NO_STEP, AdamStep, prefetch_gaussian, step_
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster.blend_backward import MOMENTS
 from tdgbench.splats.cpu.raster.ewa_gradient import ellipse_gradient, outer, point_gradient, quaternion_gradient
-from tdgbench.splats.cpu.raster.projection import GATHERED, collect, footprint_of
+from tdgbench.splats.cpu.raster.projection import GATHERED, collect, color_column, footprint_of
 from tdgbench.splats.cpu.raster.sh_registers import direction_gradient, view_direction, write_basis
 from tdgbench.splats.cpu.raster.types import CHANNELS, FLOATS, OPACITY, RADIUS, GradientArrays
 from tdgbench.splats.cpu.simd.memory import (
@@ -32,12 +32,12 @@ from tdgbench.splats.cpu.simd.memory import (
 )
 from tdgbench.splats.cpu.simd.registers import LANES, broadcast, divide, greater, is_nonzero, lane_bits, select
 from tdgbench.splats.cpu.statistics import NO_STATISTICS, StatisticsArrays, add_length
-from tdgbench.splats.gaussians import COLORS_AT, MEANS_AT, OPACITY_AT, QUATS_AT, SCALES_AT
+from tdgbench.splats.gaussians import MEANS_AT, QUATS_AT, SCALES_AT
 
 F, U = np.float32, np.uint64
 ZERO, ONE = F(0), F(1)
 IMAGE_U, IMAGE_V, IMAGE_RADIUS, IMAGE_ABSOLUTE_U, IMAGE_ABSOLUTE_V = range(5)  # registers of `image`
-SLOT = 16  # floats: a slot of six moments, up to four channels and two absolute sums, in whole registers
+SLOT = 16  # floats: a slot of six moments, up to six channels and two absolute sums, in whole registers
 BATCH = 4 * LANES  # splats whose memory is fetched before it is read
 
 
@@ -86,13 +86,11 @@ def projection_backward(first, count, parameters, channels, camera, splats, slot
     totals, out = aligned_floats(SLOT * LANES), aligned_floats(GATHERED * LANES)
     scratch = GradientScratch(gathered, totals, basis, pull, gradient, image, out)
     batch = Batch(aligned_floats(BATCH * SLOT), np.zeros(BATCH, np.int32), np.zeros(BATCH, np.int32))
-    n_bases = (channels.degree + 1) * (channels.degree + 1) if channels.degree >= 0 else 1
-    colors = n_bases * channels.colors
     written, r = first, first
     while r < first + count:
         filled, r = fill_batch(batch, r, first + count, splats, slots, parameters, channels, step)
         for k in range(0, filled, LANES):
-            collect(parameters, batch.gaussian_ids, k, colors, scratch.gathered)
+            collect(parameters, batch.gaussian_ids, k, channels.columns, scratch.gathered)
             for c in range(0, SLOT, LANES):
                 turn_block(batch.sums, k * SLOT + c, SLOT, scratch.totals, c * LANES, LANES)
             write_gradient(parameters.raw, channels, camera, splats.values, batch.splat_ids, k, scratch)
@@ -145,11 +143,11 @@ def write_gradient(raw, channels, camera, splats, splat_ids, k, scratch):
     footprint = footprint_of(scratch.gathered, raw, camera)
     scales = footprint.scales
     opacity = gather(splats, splat_ids, k, FLOATS, OPACITY)
-    t0 = load(totals, 0)
+    t0, opacity_at = load(totals, 0), channels.columns.opacity * LANES
     if raw:
-        store(out, OPACITY_AT * LANES, t0 * (ONE - opacity))
+        store(out, opacity_at, t0 * (ONE - opacity))
     else:
-        store(out, OPACITY_AT * LANES, divide(t0, opacity))
+        store(out, opacity_at, divide(t0, opacity))
 
     gp, gq, g_scales, g_mean2d = ellipse_gradient(totals, footprint, camera.eps2d)
     store(image, IMAGE_U * LANES, g_mean2d[0])
@@ -177,7 +175,7 @@ def write_gradient(raw, channels, camera, splats, splat_ids, k, scratch):
     )
     if channels.degree < 0:
         for c in range(channels.colors):
-            store(out, (COLORS_AT + c) * LANES, load(totals, (MOMENTS + c) * LANES))
+            store(out, color_column(channels, 0, c) * LANES, load(totals, (MOMENTS + c) * LANES))
     else:
         g_mean = harmonics_gradient(g_mean, footprint.mean, channels, camera, splats, splat_ids, k, scratch)
     put_three(out, MEANS_AT, g_mean)
@@ -206,9 +204,9 @@ def harmonics_gradient(g_mean, mean, channels, camera, splats, splat_ids, k, scr
         positive = greater(gather(splats, splat_ids, k, FLOATS, CHANNELS + c), broadcast(ZERO))  # else clamped
         g = select(positive, load(scratch.totals, (MOMENTS + c) * LANES), broadcast(ZERO))
         for b in range(n_bases):
-            at = b * channels.colors + c
-            store(scratch.gradient, (COLORS_AT + at) * LANES, load(scratch.basis, b * LANES) * g)
-            coefficient = load(scratch.gathered, (COLORS_AT + at) * LANES)
+            at = color_column(channels, b, c) * LANES
+            store(scratch.gradient, at, load(scratch.basis, b * LANES) * g)
+            coefficient = load(scratch.gathered, at)
             store(scratch.pull, b * LANES, load(scratch.pull, b * LANES) + coefficient * g)
     gx, gy, gz = g_mean
     if channels.degree > 0:
@@ -262,8 +260,7 @@ def fill_batch(batch, r, end, splats, slots, parameters, channels, step):
 def prefetch_parameters(parameters, channels, step, i):
     """Prefetch what will be read of Gaussian i."""
     if not step.active:
-        n_bases = (channels.degree + 1) * (channels.degree + 1) if channels.degree >= 0 else 1
-        prefetch_columns(parameters.values, i, parameters.stride, 0, COLORS_AT + n_bases * channels.colors)
+        prefetch_columns(parameters.values, i, parameters.stride, 0, channels.columns.used)
     else:
         prefetch_gaussian(step.step.rows, i)
         prefetch_row(step.step.rows.bounds, U(i))

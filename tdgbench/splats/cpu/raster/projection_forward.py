@@ -20,6 +20,7 @@ from tdgbench.splats.cpu.raster.projection import (
     GATHERED,
     LOG2_E,
     collect,
+    color_column,
     exact_image_point,
     footprint_of,
     opacity_and_log2,
@@ -57,12 +58,13 @@ from tdgbench.splats.cpu.simd.registers import (
     square_root,
     widen,
 )
-from tdgbench.splats.gaussians import COLORS_AT
 
 F, U = np.float32, np.uint64
 ZERO, HALF, ONE, TWO = F(0), F(0.5), F(1), F(2)
-# Registers of a group. 0 to 15 are the columns of a splat.
-VALID, KEEP, Z, WIDE, HIGH, SLOPE, CUT, DET, U_SINGLE, V_SINGLE, GROUP = range(splat.FLOATS, splat.FLOATS + 11)
+# Registers of a group. 0 to 15 are the columns of a splat, of which the last two begin the box.
+LAST_X, LAST_Y, VALID, KEEP, Z, WIDE, HIGH, SLOPE, CUT, DET, U_SINGLE, V_SINGLE, GROUP = range(
+    splat.FLOATS, splat.FLOATS + 13
+)
 PAIRS_PER_CANDIDATE, MIN_PAIRS = 6, 4096  # first guess of the capacity for pairs
 PREFETCH_DISTANCE = 2 * LANES  # candidates
 
@@ -154,14 +156,13 @@ def project_and_list(first, count, candidates, parameters, stale, settings, spla
     tiles, tile_counts = pair_tiles.tiles, pair_tiles.counts
     flat_splats, pairs = splats.values.reshape(-1), splats.pairs
     gaussian_ids, keys = splats.gaussian_ids, splats.depth_keys
-    bases = (channels.degree + 1) * (channels.degree + 1) if channels.degree >= 0 else 1
     end = first + count
     for k in range(first, min(first + LANES, end)):
         apply_steps(stale, candidates, k)
     for k in range(first, end, LANES):
-        prefetch_group(parameters, stale, bases * channels.colors, candidates, k + PREFETCH_DISTANCE, end)
-        collect(parameters, candidates, k, bases * channels.colors, gathered)
-        mean, has_nan = project_group(group, gathered, raw, camera, limits, has_nan)
+        prefetch_group(parameters, stale, channels.columns, candidates, k + PREFETCH_DISTANCE, end)
+        collect(parameters, candidates, k, channels.columns, gathered)
+        mean, has_nan = project_group(group, gathered, channels.columns.opacity, raw, camera, limits, has_nan)
         write_channels(group, gathered, channels, mean, camera, basis)
         for c in range(0, splat.FLOATS, LANES):
             turn_block(group, c * LANES, LANES, rows, c, splat.FLOATS)
@@ -205,14 +206,14 @@ def apply_steps(stale, candidates, k):
 
 
 @kernel(inline=True)
-def prefetch_group(parameters, stale, colors, candidates, k, end):
+def prefetch_group(parameters, stale, columns, candidates, k, end):
     """Prefetch what will be read of the Gaussians candidates[k …], LANES of them, before `end`."""
     for place in range(k, min(k + LANES, end)):
         i = int64(candidates[U(place)])
         if stale.deferred.now > stale.flushed:
             prefetch_gaussian(stale.rows, i)
         else:
-            prefetch_columns(parameters.values, i, parameters.stride, 0, COLORS_AT + colors)
+            prefetch_columns(parameters.values, i, parameters.stride, 0, columns.used)
 
 
 @kernel(inline=True)
@@ -239,13 +240,13 @@ def keep_projected(group, candidates, k, valid, raw, projected, n_projected):
 
 
 @kernel(inline=True)
-def project_group(group, gathered, raw, camera, limits, has_nan):
+def project_group(group, gathered, opacity_at, raw, camera, limits, has_nan):
     """Write the registers of the Gaussians in `gathered`, without colours; returns their means and has_nan.
 
-    has_nan: a register, above zero in lanes that met a NaN. raw: before activation.
+    has_nan: a register, above zero in lanes that met a NaN. opacity_at: its column. raw: before activation.
     """
     footprint = footprint_of(gathered, raw, camera)
-    opacity, log2_opacity = opacity_and_log2(gathered, raw)
+    opacity, log2_opacity = opacity_and_log2(gathered, opacity_at, raw)
     (x, y, z), (a, b, c), det = footprint.point, footprint.covariance, footprint.det
     one, zero = broadcast(ONE), broadcast(ZERO)
     # opacity and determinant carry what scales and quaternions hold
@@ -293,9 +294,9 @@ def write_box(group, u, v, wide, high, keep, camera):
     bottom = minimum(v + high - (HALF - SLACK), broadcast(camera.height - ONE))
     x0, x1, y0, y1 = round_up(left), round_down(right), round_up(top), round_down(bottom)
     store(group, splat.FIRST_X * LANES, x0)
-    store(group, splat.LAST_X * LANES, x1)
+    store(group, LAST_X * LANES, x1)
     store(group, splat.FIRST_Y * LANES, y0)
-    store(group, splat.LAST_Y * LANES, y1)
+    store(group, LAST_Y * LANES, y1)
     return select(greater_equal(y1, y0), select(greater_equal(x1, x0), keep, zero), zero)
 
 
@@ -307,14 +308,14 @@ def write_channels(group, gathered, channels, mean, camera, basis):
     """
     if channels.degree < 0:
         for c in range(channels.colors):
-            store(group, (splat.CHANNELS + c) * LANES, load(gathered, (COLORS_AT + c) * LANES))
+            store(group, (splat.CHANNELS + c) * LANES, load(gathered, color_column(channels, 0, c) * LANES))
     else:
         x, y, z, _ = view_direction(mean, camera)
         write_basis(x, y, z, channels.degree, basis)
         for c in range(channels.colors):
             total = broadcast(HALF)
             for b in range((channels.degree + 1) * (channels.degree + 1)):
-                total = total + load(basis, b * LANES) * load(gathered, (COLORS_AT + b * channels.colors + c) * LANES)
+                total = total + load(basis, b * LANES) * load(gathered, color_column(channels, b, c) * LANES)
             dark = greater(broadcast(ZERO), total)  # not so for NaN, which must show
             store(group, (splat.CHANNELS + c) * LANES, select(dark, broadcast(ZERO), total))
     if channels.depth:
@@ -323,9 +324,9 @@ def write_channels(group, gathered, channels, mean, camera, basis):
 
 @kernel(inline=True)
 def box_of(boxes, i):
-    """Box of lane i. boxes (4 · LANES,) int32: first and last column and row of all lanes, px."""
+    """Box of lane i. boxes (4 · LANES,) int32: first column and row, then last column and row of all lanes, px."""
     return PixelBox(
-        int64(boxes[i]), int64(boxes[U(LANES) + i]), int64(boxes[U(2 * LANES) + i]), int64(boxes[U(3 * LANES) + i])
+        int64(boxes[i]), int64(boxes[U(2 * LANES) + i]), int64(boxes[U(LANES) + i]), int64(boxes[U(3 * LANES) + i])
     )
 
 

@@ -17,14 +17,16 @@ import torch
 from tdgbench.splats.cpu.adam import NO_STALE, Stale
 from tdgbench.splats.cpu.raster.dense import to_rows
 from tdgbench.splats.cpu.scratch import Workspace, empty_rows
+from tdgbench.splats.gaussians import COLORS_AT, OPACITY_AT
 from tdgbench.splats.view import Blending
 
 # Layout of a splat, a projected Gaussian as 16 floats, one cache line. U_, V_: image mean in px, counted from the first
 # pixel of the box, which keeps its digits. A_, B_, C_ and LOG2_OPACITY: log2(alpha) = log2(opacity) + A dx² + B dx dy
-# + C dy². Up to four channels begin at CHANNELS.
+# + C dy². Up to MAX_CHANNELS channels begin at CHANNELS. RADIUS: on the screen, whole px. FIRST_X, FIRST_Y: first pixel
+# of the box in which alpha ≥ 1/255.
 U_, V_, A_, B_, C_, LOG2_OPACITY, OPACITY, CHANNELS = range(8)
-FIRST_X, LAST_X, FIRST_Y, LAST_Y, RADIUS = range(11, 16)  # box in which alpha ≥ 1/255 and screen radius, whole px
-FLOATS = 16
+RADIUS, FIRST_X, FIRST_Y, FLOATS = range(13, 17)
+MAX_CHANNELS = RADIUS - CHANNELS
 BOUNDS = 4  # floats of a row's bounds: mean and largest log scale
 MAX_CAMERAS = 1024  # packed ones that are kept
 
@@ -92,12 +94,23 @@ class Limits(NamedTuple):
     end_early: bool
 
 
+class Columns(NamedTuple):
+    """Columns of a row that are rendered: an opacity, and one or two colour sets, coefficients by channels each."""
+
+    opacity: int
+    first: int  # where each set begins
+    second: int
+    split: int  # channels of the first set
+    used: int  # all that is rendered lies before
+
+
 class Channels(NamedTuple):
     """Channels of a splat: `colors` of them, and with `depth` the camera-space z as one more."""
 
     colors: int
     degree: int  # of the spherical harmonics; −1: colours as they are
     depth: bool
+    columns: Columns
     absgrad: bool = False  # two more numbers of a gradient slot: Σ |d/du| and Σ |d/dv| over pixels
 
 
@@ -200,6 +213,12 @@ def source_of_rows(
     """
     tested = Bounds(bounds.reshape(-1), raw, np.float32(tolerance), np.float32(growth))
     return GaussianSource(len(values), Parameters(values.reshape(-1), values.shape[1], raw), tested, stale)
+
+
+def plain_channels(colors: int, degree: int, depth: bool, absgrad: bool = False) -> Channels:
+    """Return the channels of rows with one opacity and one colour set."""
+    used = COLORS_AT + colors * max((degree + 1) ** 2, 1)
+    return Channels(colors, degree, depth, Columns(OPACITY_AT, COLORS_AT, COLORS_AT, colors, used), absgrad)
 
 
 def pack_camera(viewmat, K, width: int, height: int, near_plane: float, far_plane: float, eps2d: float) -> PackedCamera:

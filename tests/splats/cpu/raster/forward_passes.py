@@ -4,12 +4,12 @@ import numpy as np
 
 from tdgbench.splats.cpu.raster.passes import forward
 from tdgbench.splats.cpu.raster.types import (
-    Channels,
     ForwardPass,
     GaussianSource,
     Settings,
     pack_camera,
     pack_limits,
+    plain_channels,
     source_of_arrays,
 )
 from tdgbench.splats.view import AS_3DGS
@@ -18,7 +18,7 @@ from tdgbench.splats.view import AS_3DGS
 def settings_for(camera, width: int, height: int, colors: int, degree: int = -1, depth: bool = False) -> Settings:
     """Settings of a view: camera is viewmat (4, 4) and K (3, 3)."""
     packed = pack_camera(*camera, width, height, 0.2, 1e10, 0.3)
-    channels = Channels(colors, degree, depth)
+    channels = plain_channels(colors, degree, depth)
     return Settings(packed, width, height, channels, np.zeros(colors, np.float32), pack_limits(AS_3DGS))
 
 
