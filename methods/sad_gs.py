@@ -1,0 +1,256 @@
+"""SAD-GS: 3DGS from metric depth, with Gaussians of its voxels and a loss in front of and behind its surfaces.
+
+Constants and order are those of umautobots/SAD-GS, commit f9055f74, with the options of its full method
+(demo_run_batch_replica.py). That is for RGB-D images of rooms, with depth in metres. Here, images are thermal; a metric
+prior is taken as it is, another one is aligned to sparse points (`methods.aligned_depth`). Two resets differ: 3DGS's
+opacity reset ends with density control, and comes not so late that the saved model has not recovered (the authors make
+one at the last iteration, after saving); opacities do not fade soon after it, while they are low for all Gaussians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from torch import Tensor
+
+from methods.aligned_depth import metric_depths
+from methods.voxels import voxel_gaussians
+from tdgbench.priors import DepthPrior, PriorError
+from tdgbench.scenes import Scene, View
+from tdgbench.splats import Gaussians
+from tdgbench.splats.density import DensityChange, DensityControl, DensityRules, GrowthDecision
+from tdgbench.splats.geometry import rotation_matrices
+from tdgbench.splats.optimizer import Adam
+from tdgbench.splats.state import TrainingState
+from tdgbench.splats.view import GaussianTensors, Pinhole
+from tdgbench.training.context import Context
+from tdgbench.training.images import THERMAL
+from tdgbench.training.losses import photometric
+from tdgbench.training.method import Method, Share, Step
+from tdgbench.training.part import Part
+
+
+@dataclass
+class SADGS(Method):
+    """L = λ_image ((1 − λ_ssim) L1 + λ_ssim (1 − SSIM)) + L_free. Lengths are in metres."""
+
+    needs_prior = True
+
+    lambda_ssim: Share
+    lambda_image: NonNegativeFloat
+    metre: PositiveFloat | None  # × the cameras' extent; None: the scene's unit is the metre
+    voxel: PositiveFloat  # side
+    reach: PositiveFloat  # of free points from the surface
+    jitter: NonNegativeFloat  # of reach, at most
+    drawn: Share  # free points, share of a view's pixels with depth
+    cube: PositiveFloat  # side; Gaussians act on points in the same one
+    blur: PositiveFloat  # added to variances, square metres
+    tolerance: NonNegativeFloat  # of support
+    fade: Annotated[float, Field(gt=0, le=1)]  # factor of opacities without support
+    fade_every: PositiveInt
+    fade_pause: NonNegativeInt  # iterations after an opacity reset
+    densify_from: NonNegativeInt | None  # iteration; None: as the budget
+    reset_every: PositiveInt | None  # iterations; None: as the budget
+    occlusion: NonNegativeFloat | None  # see `metric_depths`
+
+    def setup(self, context: Context) -> None:
+        scene, budget = context.scene, context.budget
+        self.unit = 1.0 if self.metre is None else self.metre * scene.extent
+        depths = metric_depths(scene, context.priors, self.occlusion)
+        self.surfaces = context.add_part("surfaces", Surfaces(scene, depths, context.device, self.unit))
+        start = voxel_gaussians(*self.surfaces.points(), self.voxel * self.unit, budget.sh_degree)
+        budget = replace(budget, density=self._density(budget.density))
+        self.model, self.views = context.gaussians(start=start, budget=budget), context.views()
+        self.draws, self.last = context.random("free_points"), budget.iterations
+
+    def _density(self, rules: DensityRules) -> DensityRules:
+        """Return the density control of 3DGS with fading; another one stays as it is, without."""
+        if type(rules) is not DensityRules:
+            return rules
+        start = rules.start if self.densify_from is None else self.densify_from
+        every = rules.opacity_reset_every if self.reset_every is None else self.reset_every
+        supported = partial(self.surfaces.support, tolerance=self.tolerance * self.unit)
+        fading = {"fade": self.fade, "fade_every": self.fade_every, "fade_pause": self.fade_pause}
+        return SupportRules(
+            **{**vars(rules), "start": start, "opacity_reset_every": every}, **fading, supported=supported
+        )
+
+    def step(self, iteration: int) -> Step:
+        view, free = self.views.next(), []
+
+        def hook(gaussians: Gaussians, degree: int) -> GaussianTensors:
+            free.append(self._free(gaussians, view))
+            return gaussians.activated(degree)
+
+        render = self.model.render(view.camera, hook=hook)
+        target, valid = THERMAL.tensors_of(view, render.image.device)
+        loss = photometric(render.image, target, self.lambda_ssim, valid)
+        density = self.model.density
+        if iteration == self.last and isinstance(density, SupportControl) and density.fades(iteration):
+            density.fade_unsupported(self.model.optimizer)  # as released, before saving; no update follows
+        return Step(
+            self.lambda_image * loss + free[0], {"thermal": loss, "free": free[0]}, render, target, valid
+        )
+
+    def _free(self, gaussians: Gaussians, view: View) -> Tensor:
+        """Return the free-space loss of a view at points that are drawn."""
+        reach, jitter, blur = self.reach * self.unit, self.jitter * self.unit, self.blur * self.unit**2
+        points = self.surfaces.free_points(view, self.drawn, reach, jitter, self.draws)
+        deviations = (gaussians.scales.square() + blur).sqrt()
+        roots = rotation_matrices(gaussians.quats).mT / deviations[..., None]
+        return free_loss(points, gaussians.means, roots, gaussians.opacities, self.cube * self.unit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SupportRules(DensityRules):
+    """Rules of 3DGS, and opacities that fade where no training view has a surface."""
+
+    fade: float
+    fade_every: int
+    fade_pause: int
+    supported: Callable[[Tensor], Tensor]  # of means (N, 3): which are near a surface (N,)
+
+    def control(self, extent: float, state: TrainingState, iterations: int) -> DensityControl:
+        return SupportControl(self, extent, state, iterations)
+
+
+class SupportControl(DensityControl):
+    """Lets Gaussians without support fade, before it clones, splits and prunes (train.py, lines 298 to 315)."""
+
+    rules: SupportRules
+
+    def fades(self, iteration: int) -> bool:
+        """Return whether opacities fade at an iteration."""
+        paused = any(self._is_reset(before) for before in range(iteration - self.rules.fade_pause, iteration))
+        return self.is_active(iteration) and iteration % self.rules.fade_every == 0 and not paused
+
+    def is_due(self, iteration: int) -> bool:
+        return self.fades(iteration) or super().is_due(iteration)
+
+    @torch.no_grad()
+    def update(
+        self, optimizer: Adam, iteration: int, generator: torch.Generator, decision: GrowthDecision | None = None
+    ) -> DensityChange:
+        fades = self.fades(iteration)
+        if fades:
+            self.fade_unsupported(optimizer)
+        change = super().update(optimizer, iteration, generator, decision)
+        change.opacity_reset |= fades  # no step of opacities follows
+        return change
+
+    @torch.no_grad()
+    def fade_unsupported(self, optimizer: Adam) -> None:
+        """Multiply opacities without support, and forget the moments of all."""
+        optimizer.flush()
+        many = self.state.split(self.state.values)
+        logits = many.opacity_logits
+        faded = (self.rules.fade * many.opacities).clamp_min(torch.finfo(logits.dtype).tiny).logit()
+        logits.copy_(torch.where(self.rules.supported(many.means), logits, torch.minimum(faded, logits)))
+        optimizer.reset_moments("opacity_logits")
+
+
+class Surfaces(Part):
+    """Depth maps of the training views, on the device of the training."""
+
+    def __init__(self, scene: Scene, depths: dict[str, DepthPrior], device: torch.device, metre: float) -> None:
+        """depths: z by view, NaN or not positive where unknown; in world units, as the metre. Raises PriorError."""
+        self.views, self.metre = scene.train, metre
+        self.cameras, self.maps, self.known = {}, {}, {}
+        for view in scene.train:
+            depth = torch.from_numpy(depths[view.name].values).to(device)
+            self.maps[view.name] = torch.where(depth > 0, depth, torch.nan)
+            self.known[view.name] = torch.isfinite(self.maps[view.name]).flatten().nonzero().squeeze(1)
+            self.cameras[view.name] = Pinhole.of(view.camera).to(depth)
+        if not any(map(len, self.known.values())):
+            raise PriorError(f"no depth prior of {scene.name} has a positive depth, from which Gaussians could start")
+
+    def report(self) -> dict[str, Any]:
+        """Return the pixels with depth, and a metre in world units."""
+        return {"pixels": sum(map(len, self.known.values())), "metre": self.metre}
+
+    def _at(self, view: View, pixels: Tensor) -> Tensor:
+        """Return the points (n, 3), world units, of pixels (n,), counted row by row, of a view."""
+        camera, z = self.cameras[view.name], self.maps[view.name].flatten()[pixels]
+        x, y = pixels % camera.width + 0.5, pixels // camera.width + 0.5
+        local = torch.stack([x, y, torch.ones_like(x)], dim=1) @ torch.linalg.inv(camera.K).T * z[:, None]
+        return (local - camera.viewmat[:3, 3]) @ camera.viewmat[:3, :3]
+
+    def points(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points (P, 3) of all views, world units, and their colours (P, C)."""
+        points = [self._at(view, self.known[view.name]).cpu().numpy() for view in self.views]
+        colors = [view.thermal.reshape(-1, view.thermal.shape[2])[self.known[view.name].cpu()] for view in self.views]
+        return np.concatenate(points), np.concatenate(colors)
+
+    def support(self, means: Tensor, tolerance: float) -> Tensor:
+        """Return which means (N, 3) lie at the depth of a view, to a tolerance in world units."""
+        found = torch.zeros(len(means), dtype=torch.bool, device=means.device)
+        for name, camera in self.cameras.items():
+            found |= at_depth(means, camera, self.maps[name], tolerance)
+        return found
+
+    def free_points(self, view: View, share: float, reach: float, jitter: float, generator: torch.Generator) -> Tensor:
+        """Draw points (n, 3) in front of and behind a view's surface; n: a share of its pixels with depth."""
+        known = self.known[view.name]
+        count = int(len(known) * share)
+        drawn = torch.randint(max(len(known), 1), (count,), generator=generator)
+        offsets = reach * (2 * torch.randint(2, (count,), generator=generator) - 1)
+        offsets = offsets + jitter * (2 * torch.rand(count, generator=generator) - 1)
+        surface = self._at(view, known[drawn.to(known.device)])
+        return beside(torch.from_numpy(view.camera.center).to(surface), surface, offsets.to(surface))
+
+
+def at_depth(means: Tensor, camera: Pinhole, depth: Tensor, tolerance: float) -> Tensor:
+    """Return which means (N, 3) lie in an image, at its depth (H, W), NaN where unknown, to a tolerance.
+
+    As released, the first row and column of an image support nothing.
+    """
+    local = means @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]
+    z = local[:, 2]
+    pixels = (local @ camera.K.T)[:, :2] / z[:, None]
+    columns, rows = pixels.nan_to_num(-1.0).clamp(-1, 2**30).floor().long().unbind(1)
+    inside = (z > 0) & (columns > 0) & (rows > 0) & (columns < camera.width) & (rows < camera.height)
+    found = depth[torch.where(inside, rows, 0), torch.where(inside, columns, 0)]
+    return inside & ((found - z).abs() <= tolerance)
+
+
+def beside(center: Tensor, points: Tensor, offsets: Tensor) -> Tensor:
+    """Return points (n, 3) moved by offsets (n,) along the rays from a centre (3,), but not behind it."""
+    rays = points - center
+    distance = rays.norm(dim=1, keepdim=True)
+    return center + rays / distance * (distance + offsets[:, None]).clamp_min(0)
+
+
+def free_loss(points: Tensor, means: Tensor, roots: Tensor, opacities: Tensor, cube: float) -> Tensor:
+    """Return the mean density at points (M, 3), of the Gaussians (N) whose means lie in a point's cube of a grid.
+
+    roots, opacities: see `density`. cube: side, world units. Points that share no cube with a Gaussian count as 0.
+    """
+    if not len(points):
+        return means.new_zeros(())
+    with torch.no_grad():
+        low = torch.minimum(means.amin(dim=0), points.amin(dim=0))
+        spans = ((torch.maximum(means.amax(dim=0), points.amax(dim=0)) - low) / cube).long() + 1
+        steps = torch.stack([spans[1] * spans[2], spans[2], torch.ones_like(spans[0])])
+        of_means, of_points = ((((at - low) / cube).long() * steps).sum(dim=1) for at in (means, points))
+        near = torch.isin(of_means, of_points).nonzero().squeeze(1)
+        near = near[of_means[near].argsort(stable=True)]
+        cells, counts = of_points.unique(return_counts=True)
+        sizes = torch.searchsorted(of_means[near], cells, right=True).diff(prepend=cells.new_zeros(1)).tolist()
+        points = points[of_points.argsort(stable=True)].split(counts.tolist())
+    groups = zip(points, *(array[near].split(sizes) for array in (means, roots, opacities)), strict=True)
+    return torch.cat([density(*group) for group in groups]).mean()
+
+
+def density(points: Tensor, means: Tensor, roots: Tensor, opacities: Tensor) -> Tensor:
+    """Return min(1, Σ o exp(−½ |R (x − μ)|²)) at points x (M, 3).
+
+    Of Gaussians with means μ (N, 3), opacities o (N,), and roots R (N, 3, 3), R Rᵀ their inverse covariances.
+    """
+    whitened = roots @ (points - means[:, None]).mT  # (N, 3, M)
+    return (opacities[:, None] * torch.exp(-0.5 * whitened.square().sum(dim=1))).sum(dim=0).clamp_max(1.0)
