@@ -35,6 +35,8 @@ from tdgbench.training.losses import photometric
 from tdgbench.training.method import Method, Share, Step
 from tdgbench.training.part import Part
 
+FARTHEST = 6.0  # deviations from a Gaussian, beyond which its density, at most exp(−18), is left out
+
 
 @dataclass
 class SADGS(Method):
@@ -76,10 +78,8 @@ class SADGS(Method):
         start = rules.start if self.densify_from is None else self.densify_from
         every = rules.opacity_reset_every if self.reset_every is None else self.reset_every
         supported = partial(self.surfaces.support, tolerance=self.tolerance * self.unit)
-        fading = {"fade": self.fade, "fade_every": self.fade_every, "fade_pause": self.fade_pause}
-        return SupportRules(
-            **{**vars(rules), "start": start, "opacity_reset_every": every}, **fading, supported=supported
-        )
+        given = {**vars(rules), "start": start, "opacity_reset_every": every, "supported": supported}
+        return SupportRules(**given, fade=self.fade, fade_every=self.fade_every, fade_pause=self.fade_pause)
 
     def step(self, iteration: int) -> Step:
         view, free = self.views.next(), []
@@ -94,17 +94,22 @@ class SADGS(Method):
         density = self.model.density
         if iteration == self.last and isinstance(density, SupportControl) and density.fades(iteration):
             density.fade_unsupported(self.model.optimizer)  # as released, before saving; no update follows
-        return Step(
-            self.lambda_image * loss + free[0], {"thermal": loss, "free": free[0]}, render, target, valid
-        )
+        terms = {"thermal": loss, "free": free[0]}
+        return Step(self.lambda_image * loss + free[0], terms, render, target, valid)
 
     def _free(self, gaussians: Gaussians, view: View) -> Tensor:
         """Return the free-space loss of a view at points that are drawn."""
         reach, jitter, blur = self.reach * self.unit, self.jitter * self.unit, self.blur * self.unit**2
         points = self.surfaces.free_points(view, self.drawn, reach, jitter, self.draws)
-        deviations = (gaussians.scales.square() + blur).sqrt()
-        roots = rotation_matrices(gaussians.quats).mT / deviations[..., None]
-        return free_loss(points, gaussians.means, roots, gaussians.opacities, self.cube * self.unit)
+        largest = gaussians.log_scales.detach().amax(dim=1).exp()
+        at, of = pairs_in_cubes(
+            points, gaussians.means.detach(), FARTHEST * (largest.square() + blur).sqrt(), self.cube * self.unit
+        )
+        deviations = ((2 * gaussians.log_scales[of]).exp() + blur).sqrt()
+        whitened = rotation_matrices(gaussians.quats[of]).mT @ (points[at] - gaussians.means[of])[..., None]
+        whitened = whitened.squeeze(2) / deviations
+        found = density(whitened, gaussians.opacity_logits[of].sigmoid(), at, len(points))
+        return found.sum() / max(len(points), 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,8 +155,8 @@ class SupportControl(DensityControl):
         optimizer.flush()
         many = self.state.split(self.state.values)
         logits = many.opacity_logits
-        faded = (self.rules.fade * many.opacities).clamp_min(torch.finfo(logits.dtype).tiny).logit()
-        logits.copy_(torch.where(self.rules.supported(many.means), logits, torch.minimum(faded, logits)))
+        faded = (self.rules.fade * many.opacities).clamp_min(torch.finfo(logits.dtype).tiny).logit()  # finite
+        logits.copy_(torch.where(self.rules.supported(many.means), logits, faded))
         optimizer.reset_moments("opacity_logits")
 
 
@@ -226,31 +231,30 @@ def beside(center: Tensor, points: Tensor, offsets: Tensor) -> Tensor:
     return center + rays / distance * (distance + offsets[:, None]).clamp_min(0)
 
 
-def free_loss(points: Tensor, means: Tensor, roots: Tensor, opacities: Tensor, cube: float) -> Tensor:
-    """Return the mean density at points (M, 3), of the Gaussians (N) whose means lie in a point's cube of a grid.
+@torch.no_grad()
+def pairs_in_cubes(points: Tensor, means: Tensor, reach: Tensor, cube: float) -> Tensor:
+    """Return pairs (2, P) of point and Gaussian that are in the same cube of a grid, and nearer than `reach`.
 
-    roots, opacities: see `density`. cube: side, world units. Points that share no cube with a Gaussian count as 0.
+    points (M, 3), means (N, 3), reach (N,), cube (its side): world units.
     """
-    if not len(points):
-        return means.new_zeros(())
-    with torch.no_grad():
-        low = torch.minimum(means.amin(dim=0), points.amin(dim=0))
-        spans = ((torch.maximum(means.amax(dim=0), points.amax(dim=0)) - low) / cube).long() + 1
-        steps = torch.stack([spans[1] * spans[2], spans[2], torch.ones_like(spans[0])])
-        of_means, of_points = ((((at - low) / cube).long() * steps).sum(dim=1) for at in (means, points))
-        near = torch.isin(of_means, of_points).nonzero().squeeze(1)
-        near = near[of_means[near].argsort(stable=True)]
-        cells, counts = of_points.unique(return_counts=True)
-        sizes = torch.searchsorted(of_means[near], cells, right=True).diff(prepend=cells.new_zeros(1)).tolist()
-        points = points[of_points.argsort(stable=True)].split(counts.tolist())
-    groups = zip(points, *(array[near].split(sizes) for array in (means, roots, opacities)), strict=True)
-    return torch.cat([density(*group) for group in groups]).mean()
+    low = torch.minimum(means.amin(dim=0), points.amin(dim=0)) if len(points) else 0
+    cells = [((some - low) / cube).long() for some in (points, means)]
+    steps = cells[0].new_tensor([1, 2**20, 2**40])
+    of_points, of_means = ((cell * steps).sum(dim=1) for cell in cells)
+    near = torch.isin(of_means, of_points).nonzero().squeeze(1)
+    found = [near.new_zeros(2, 0)]
+    for cell in of_points.unique():
+        at, of = (of_points == cell).nonzero().squeeze(1), near[of_means[near] == cell]
+        distances = torch.cdist(points[at], means[of], compute_mode="donot_use_mm_for_euclid_dist")
+        hits = (distances < reach[of]).nonzero()
+        found.append(torch.stack([at[hits[:, 0]], of[hits[:, 1]]]))
+    return torch.cat(found, dim=1)
 
 
-def density(points: Tensor, means: Tensor, roots: Tensor, opacities: Tensor) -> Tensor:
-    """Return min(1, Σ o exp(−½ |R (x − μ)|²)) at points x (M, 3).
+def density(whitened: Tensor, opacities: Tensor, at: Tensor, count: int) -> Tensor:
+    """Return min(1, Σ o exp(−½ |w|²)) at points (count,), of pairs with Gaussians.
 
-    Of Gaussians with means μ (N, 3), opacities o (N,), and roots R (N, 3, 3), R Rᵀ their inverse covariances.
+    whitened: w (P, 3), the pair's offset along the Gaussian's axes / deviations; opacities: o (P,); at: point (P,).
     """
-    whitened = roots @ (points - means[:, None]).mT  # (N, 3, M)
-    return (opacities[:, None] * torch.exp(-0.5 * whitened.square().sum(dim=1))).sum(dim=0).clamp_max(1.0)
+    values = opacities * torch.exp(-0.5 * whitened.square().sum(dim=1))
+    return values.new_zeros(count).index_add(0, at, values).clamp_max(1.0)

@@ -42,7 +42,11 @@ def test_free_points(name, jitter):
 def test_density():
     names = ("mu", "sigma", "o")
     inputs = mu, sigma, o = [tensor(name).requires_grad_() for name in names]
-    found = density(tensor("q"), mu, torch.linalg.inv(torch.linalg.cholesky(sigma)), o)
+    points = tensor("q")
+    at, of = torch.cartesian_prod(torch.arange(len(points)), torch.arange(len(mu))).T
+    roots = torch.linalg.inv(torch.linalg.cholesky(sigma))  # of all square roots, |w| is the same
+    whitened = roots[of] @ (points[at] - mu[of])[..., None]
+    found = density(whitened.squeeze(2), o[of], at, len(points))
     found.mean().backward()
     assert relative(found.detach(), DATA["density"]) < CLOSE and bool((found == 1).any())
     for given, name in zip(inputs, names, strict=True):
