@@ -36,7 +36,7 @@ def voxels(points: np.ndarray, colors: np.ndarray, size: float) -> tuple[np.ndar
 
 
 def voxel_gaussians(points: np.ndarray, colors: np.ndarray, size: float, sh_degree: int) -> Gaussians:
-    """Return one opaque Gaussian (float32) per voxel, with twice the standard deviations of its points; see `voxels`."""
+    """Return one opaque Gaussian (float32) per voxel, with twice the deviations of its points; see `voxels`."""
     means, color, covariances = voxels(points, colors, size)
     variances, axes = np.linalg.eigh(covariances)
     axes[..., 2] *= np.linalg.det(axes)[:, None]
