@@ -82,34 +82,21 @@ class SADGS(Method):
         return SupportRules(**given, fade=self.fade, fade_every=self.fade_every, fade_pause=self.fade_pause)
 
     def step(self, iteration: int) -> Step:
-        view, free = self.views.next(), []
+        view, free, unit = self.views.next(), list[Tensor](), self.unit
+        points = self.surfaces.free_points(view, self.drawn, self.reach * unit, self.jitter * unit, self.draws)
 
         def hook(gaussians: Gaussians, degree: int) -> GaussianTensors:
-            free.append(self._free(gaussians, view))
+            free.append(free_loss(points, gaussians, self.blur * unit**2, self.cube * unit))
             return gaussians.activated(degree)
 
         render = self.model.render(view.camera, hook=hook)
         target, valid = THERMAL.tensors_of(view, render.image.device)
         loss = photometric(render.image, target, self.lambda_ssim, valid)
-        density = self.model.density
-        if iteration == self.last and isinstance(density, SupportControl) and density.fades(iteration):
-            density.fade_unsupported(self.model.optimizer)  # as released, before saving; no update follows
+        control = self.model.density
+        if iteration == self.last and isinstance(control, SupportControl) and control.fades(iteration):
+            control.fade_unsupported(self.model.optimizer)  # as released, before saving; no update follows
         terms = {"thermal": loss, "free": free[0]}
         return Step(self.lambda_image * loss + free[0], terms, render, target, valid)
-
-    def _free(self, gaussians: Gaussians, view: View) -> Tensor:
-        """Return the free-space loss of a view at points that are drawn."""
-        reach, jitter, blur = self.reach * self.unit, self.jitter * self.unit, self.blur * self.unit**2
-        points = self.surfaces.free_points(view, self.drawn, reach, jitter, self.draws)
-        largest = gaussians.log_scales.detach().amax(dim=1).exp()
-        at, of = pairs_in_cubes(
-            points, gaussians.means.detach(), FARTHEST * (largest.square() + blur).sqrt(), self.cube * self.unit
-        )
-        deviations = ((2 * gaussians.log_scales[of]).exp() + blur).sqrt()
-        whitened = rotation_matrices(gaussians.quats[of]).mT @ (points[at] - gaussians.means[of])[..., None]
-        whitened = whitened.squeeze(2) / deviations
-        found = density(whitened, gaussians.opacity_logits[of].sigmoid(), at, len(points))
-        return found.sum() / max(len(points), 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,6 +216,21 @@ def beside(center: Tensor, points: Tensor, offsets: Tensor) -> Tensor:
     rays = points - center
     distance = rays.norm(dim=1, keepdim=True)
     return center + rays / distance * (distance + offsets[:, None]).clamp_min(0)
+
+
+def free_loss(points: Tensor, gaussians: Gaussians, blur: float, cube: float) -> Tensor:
+    """Return L_free, the mean of min(1, Σ o exp(−½ d²)) over free points (M, 3) (train.py, lines 239 to 267).
+
+    d is the Mahalanobis distance from a Gaussian; Σ is over those whose mean is in the point's cube of a grid, world
+    units, up to d = FARTHEST. blur: added to variances, squared world units.
+    """
+    means, log_scales = gaussians.means, gaussians.log_scales
+    largest = ((2 * log_scales.detach().amax(dim=1)).exp() + blur).sqrt()
+    at, of = pairs_in_cubes(points, means.detach(), FARTHEST * largest, cube)
+    along = (rotation_matrices(gaussians.quats[of]).mT @ (points[at] - means[of])[..., None]).squeeze(2)
+    whitened = along / ((2 * log_scales[of]).exp() + blur).sqrt()
+    found = density(whitened, gaussians.opacity_logits[of].sigmoid(), at, len(points))
+    return found.sum() / max(len(points), 1)
 
 
 @torch.no_grad()
