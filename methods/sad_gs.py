@@ -221,8 +221,8 @@ def beside(center: Tensor, points: Tensor, offsets: Tensor) -> Tensor:
 def free_loss(points: Tensor, gaussians: Gaussians, blur: float, cube: float) -> Tensor:
     """Return L_free, the mean of min(1, Σ o exp(−½ d²)) over free points (M, 3) (train.py, lines 239 to 267).
 
-    d is the Mahalanobis distance from a Gaussian; Σ is over those whose mean is in the point's cube of a grid, world
-    units, up to d = FARTHEST. blur: added to variances, squared world units.
+    d is the Mahalanobis distance from a Gaussian; Σ is over those whose mean is in the point's cube of a grid, without
+    pairs beyond FARTHEST. blur: added to variances, squared world units. cube: its side, world units.
     """
     means, log_scales = gaussians.means, gaussians.log_scales
     largest = ((2 * log_scales.detach().amax(dim=1)).exp() + blur).sqrt()
@@ -239,14 +239,15 @@ def pairs_in_cubes(points: Tensor, means: Tensor, reach: Tensor, cube: float) ->
 
     points (M, 3), means (N, 3), reach (N,), cube (its side): world units.
     """
-    low = torch.minimum(means.amin(dim=0), points.amin(dim=0)) if len(points) else 0
-    cells = [((some - low) / cube).long() for some in (points, means)]
-    steps = cells[0].new_tensor([1, 2**20, 2**40])
-    of_points, of_means = ((cell * steps).sum(dim=1) for cell in cells)
-    near = torch.isin(of_means, of_points).nonzero().squeeze(1)
-    found = [near.new_zeros(2, 0)]
-    for cell in of_points.unique():
-        at, of = (of_points == cell).nonzero().squeeze(1), near[of_means[near] == cell]
+    if not len(points):
+        return points.new_zeros(2, 0, dtype=torch.int64)
+    low, steps = torch.minimum(means.amin(dim=0), points.amin(dim=0)), torch.tensor([1, 2**20, 2**40]).to(points.device)
+    of_means, of_points = ((((some - low) / cube).long() * steps).sum(dim=1) for some in (means, points))
+    cells, of_points = of_points.unique(return_inverse=True)
+    place = torch.searchsorted(cells, of_means).clamp_max(len(cells) - 1)
+    near, found = (cells[place] == of_means).nonzero().squeeze(1), []
+    for cell in range(len(cells)):
+        at, of = (of_points == cell).nonzero().squeeze(1), near[place[near] == cell]
         distances = torch.cdist(points[at], means[of], compute_mode="donot_use_mm_for_euclid_dist")
         hits = (distances < reach[of]).nonzero()
         found.append(torch.stack([at[hits[:, 0]], of[hits[:, 1]]]))
