@@ -12,6 +12,7 @@ from tdgbench.cells.protocol import MEASURED_ON
 from tdgbench.cells.record import Record
 from tdgbench.compare.pairs import ComparedCell, Pairs, Place, place_of
 from tdgbench.scoring import METRICS
+from tdgbench.tables import likeness
 from tdgbench.tables.measures import known_measures, measure_of
 from tdgbench.text import as_typed, named, one_line
 
@@ -30,6 +31,7 @@ NAME = "metrics.convention"  # of other options of metrics
 ADDED = "metrics.extra"  # changes no other score
 TRUTH = PROTOCOL, "ground truth"
 LACKING = "not recorded"
+OF_TIMES = (*likeness.MACHINE.values(), "cores", "simd_lanes")  # fields of a record's environment
 LONGEST = 12  # characters of a value that a sentence prints
 
 
@@ -79,7 +81,8 @@ class Cause(NamedTuple):
 def find_causes(pairs: Pairs) -> list[Cause]:
     """Return every setting that differs in a pair, by kind, most frequent ones first; their ground truth among them.
 
-    An option that is null equals one that a record lacks: it is of a version before there was the option.
+    An option that is null equals one that a record lacks: it is of a version before there was the option. So is another
+    option of the budget that a record lacks, and a difference of versions.
     """
     found: dict[tuple[str, str], Counter[tuple[str, str]]] = {}
     places: dict[tuple[str, str], set[Place]] = {}
@@ -88,6 +91,9 @@ def find_causes(pairs: Pairs) -> list[Cause]:
         a[TRUTH], b[TRUTH] = "A's", truth_in_words(pair)
         for key, (mine, theirs) in differences([a, b], LACKING).items():
             if {mine, theirs} != {LACKING, "null"}:
+                have_budgets = all((TRAINING, "budget.iterations") in one for one in (a, b))
+                if LACKING in (mine, theirs) and key[1].startswith("budget.") and have_budgets:
+                    key = VERSION, key[1]
                 found.setdefault(key, Counter())[mine, theirs] += 1
                 places.setdefault(key, set()).add(place_of(pair.a.record))
     causes = [
@@ -104,6 +110,21 @@ def in_brief(causes: Iterable[Cause]) -> str:
     if "iterations" in names:
         names.pop("budget.iterations", None)
     return named(cause.brief for cause in names.values())
+
+
+def is_of_times(cause: Cause) -> bool:
+    """Return whether a setting of the machine decides times."""
+    return cause.kind == MACHINE and cause.name.split(".")[0] in OF_TIMES
+
+
+def why_no_times(causes: Iterable[Cause]) -> str:
+    """Return why times do not compare: another length, or another training on another machine; else empty."""
+    causes = list(causes)
+    of_machine = [cause for cause in causes if is_of_times(cause)]
+    trained = [cause for cause in causes if cause.kind == TRAINING and cause.name != "code"]
+    if any(cause.name == "budget.iterations" for cause in trained) or (trained and of_machine):
+        return in_brief(sorted([*of_machine, *trained], key=lambda cause: "iterations" not in cause.name))
+    return ""
 
 
 def truth_in_words(pair: ComparedCell) -> str:

@@ -11,13 +11,12 @@ from rich.table import Table
 from rich.text import Text
 
 from tdgbench.compare import compared_cells as compared
-from tdgbench.compare.causes import KINDS, MACHINE, PROTOCOL, TRAINING, Cause, find_causes, in_brief
+from tdgbench.compare.causes import KINDS, PROTOCOL, Cause, find_causes, in_brief, is_of_times, why_no_times
 from tdgbench.compare.compared_cells import FIRST, IDENTICAL, NOT_COMPARED, ONE_TRAINING, TWO_PROTOCOLS
 from tdgbench.compare.comparison_page import write_page
 from tdgbench.compare.pairs import Pairs, find_pairs, place_of
 from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
-from tdgbench.tables import likeness
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
 from tdgbench.tables.columns import own_columns
@@ -29,7 +28,6 @@ from tdgbench.terminal import console, errors_in_one_line, say
 from tdgbench.text import one_line
 
 MOST_CAUSES = 12  # of a kind, on the terminal
-OF_TIMES = (*likeness.MACHINE.values(), "cores", "simd_lanes")  # fields of a record's environment that decide times
 
 
 @errors_in_one_line("compare", status=2)
@@ -135,7 +133,10 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     if any(pair.has_changed_scores for pair in pairs) and not any(cause.kind == PROTOCOL for cause in causes):
         found.append("a record was changed: renders, ground truth and protocol are equal, PSNR is not; run tdgbench "
                      "verify on both")  # fmt: skip
-    found += _of_times(causes)
+    if why := why_no_times(causes):
+        found.append(f"times do not compare: {why}")
+    elif any(map(is_of_times, causes)):
+        found.append("their machines or threads differ, which may be why their times do")
     kinds = []
     for kind in KINDS:
         of_kind = [cause for cause in causes if cause.kind == kind]
@@ -152,16 +153,6 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
             more = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
             found.append(f"finished in {name} alone: {alone[0].title}{more}")
     return found
-
-
-def _of_times(causes: Sequence[Cause]) -> list[str]:
-    """Return why times do not compare, or may differ, in a list; empty where one machine trained one length."""
-    of_machine = [cause for cause in causes if cause.kind == MACHINE and cause.name.split(".")[0] in OF_TIMES]
-    trained = [cause for cause in causes if cause.kind == TRAINING and cause.name != "code"]
-    if any(cause.name == "budget.iterations" for cause in trained) or (trained and of_machine):
-        main_first = sorted([*of_machine, *trained], key=lambda cause: "iterations" not in cause.name)
-        return [f"times do not compare: {in_brief(main_first)}"]
-    return ["their machines or threads differ, which may be why their times do"] if of_machine else []
 
 
 def _show(table: pd.DataFrame, causes: Sequence[Cause], pairs: int, findings: Sequence[str]) -> None:

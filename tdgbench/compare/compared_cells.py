@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from tdgbench.compare.causes import MACHINE, VERSION, Cause
+from tdgbench.compare.causes import MACHINE, VERSION, Cause, why_no_times
 from tdgbench.compare.pairs import PLACE, ComparedCell, Pairs, Place
 from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scoring.metric import Measure
@@ -91,8 +91,10 @@ def _why_not_compared(metric: str, place: Place, by_seed: Mapping[int, ComparedC
     if isinstance(measure_of(metric), RecordMeasure):
         if any(pair.is_one_training for pair in by_seed.values()):
             return ONE_TRAINING
+        if metric != HOURS.name:
+            return ""
         is_busy = any(was_disturbed(cell.record) for pair in by_seed.values() for cell in pair)
-        return "times of a busy machine" if metric == HOURS.name and is_busy else ""
+        return "times of a busy machine" if is_busy else why_no_times(c for c in causes if place in c.places)
     unlike = [cause.change for cause in causes if place in cause.places and metric in cause.scores]
     return f"{TWO_PROTOCOLS} ({'; '.join(unlike)})" if unlike else ""
 

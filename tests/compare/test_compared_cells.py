@@ -129,6 +129,34 @@ def test_times_of_unlike_trainings_do_not_compare(tmp_path, capsys, extra, said)
     assert f"found: what differs: training ({trained}), machine ({changed} not recorded → 2)\n" in out
 
 
+def test_times_of_a_busy_machine_or_of_unlike_trainings_have_no_difference(tmp_path):
+    for name, extra in (("busy", {"backend": "cpu", "train_processor_seconds": 90.0}),
+                        ("unlike", {"iterations": 9, "environment": {"threads": 2}})):  # fmt: skip
+        row = rows_of(*two_experiments(tmp_path / name, [20.0, 20.1], [20.0, 20.1], **extra)).loc["train_hours"]
+        assert row["verdict"] == "not compared" and np.isnan(row["difference"])
+        assert row["reason"] == (
+            "times of a busy machine" if name == "busy" else "iterations 0 → 9, threads not recorded → 2"
+        )
+
+
+def test_another_psnr_of_equal_renders_is_a_changed_record(tmp_path, capsys):
+    for name, psnr in (("a", 20.0), ("b", 20.3)):
+        write(tmp_path / name, scores={"psnr": psnr}, hashes={"model.ply": "ab" * 32, "renders/1.png": "cd" * 32})
+    main([str(tmp_path / "a"), str(tmp_path / "b")])
+    assert (
+        "found: a record was changed: renders, ground truth and protocol are equal, PSNR is not"
+        in capsys.readouterr().out
+    )
+
+
+def test_an_option_of_the_budget_that_a_version_lacks_is_no_other_training(tmp_path):
+    budgets = {"name": "demo", "iterations": 9}, {"name": "demo", "iterations": 9, "rays": 512}
+    for name, budget in zip("ab", budgets, strict=True):
+        write(tmp_path / name, config={"budget": budget})
+    (cause,) = find_causes(pairs_of(tmp_path / "a", tmp_path / "b"))
+    assert (cause.kind, cause.change) == (VERSION, "budget.rays: not recorded → 512")
+
+
 def test_two_protocols_are_refused_and_said(tmp_path, capsys):
     weights = {"metrics": {"lpips": {"weights": "/home/ada/vgg.npz"}}}
     a, b = two_experiments(tmp_path, [20.0], [20.0], split="every_8th", config=weights)
