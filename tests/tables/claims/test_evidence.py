@@ -56,6 +56,17 @@ def test_experiments_count_together_over_seeds_that_both_methods_have(tmp_path):
     assert len(found.cells) == 5
 
 
+def test_a_training_that_two_experiments_hold_counts_once_with_the_time_of_a_free_machine(tmp_path):
+    for method in ("tdg", "msmg"):
+        for name, processor in (("busy", 900.0), ("free", 3600.0)):
+            hashes = {"model.ply": "ab" * 32, "views.csv": name, "log.csv": name}
+            write(tmp_path / name, method, hashes=hashes, backend="cpu", train_processor_seconds=processor)
+    found = evidence_of([tmp_path / "busy", tmp_path / "free"])
+    assert [cell.record.train_processor_seconds for cell in found.cells] == [3600.0, 3600.0]
+    only = evidence_of([tmp_path / "busy"]).main.query("metric == 'train_hours' and scene == 'orbit'")
+    assert only["value"].isna().all() and set(only["reason"]) == {"times of several or busy machines"}
+
+
 def test_several_data_sets_have_an_overall_average(tmp_path):
     for method in ("tdg", "msmg"):
         write(tmp_path, method, 30.0)
