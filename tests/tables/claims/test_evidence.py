@@ -59,7 +59,8 @@ def test_experiments_count_together_over_seeds_that_both_methods_have(tmp_path):
 def test_a_training_that_two_experiments_hold_counts_once_with_the_time_of_a_free_machine(tmp_path):
     for method in ("tdg", "msmg"):
         for name, processor in (("busy", 900.0), ("free", 3600.0)):
-            hashes = {"model.ply": "ab" * 32, "views.csv": name, "log.csv": name}
+            own = f"{ord(name[0]):02x}" * 32
+            hashes = {"model.ply": "ab" * 32, "views.csv": own, "log.csv": own}
             write(tmp_path / name, method, hashes=hashes, backend="cpu", train_processor_seconds=processor)
     found = evidence_of([tmp_path / "busy", tmp_path / "free"])
     assert [cell.record.train_processor_seconds for cell in found.cells] == [3600.0, 3600.0]
