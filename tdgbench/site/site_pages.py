@@ -248,7 +248,7 @@ def _caveats(rows: Sequence[BoardRow]) -> list[str]:
     machines = set[tuple[str, ...]]().union(*(row.machines for row in timed))
     if len(machines) > 1:
         found.append(f"Times do not compare between: {'; '.join(sorted(map(machine_in_words, machines)))}.")
-    records = [record for row in timed for record in row.records]
+    records = list({cell.folder: cell.record for row in timed for cell in row.cells}.values())  # each once
     found += [f"{note[0].upper()}{note[1:]}." for note in (*times_at_once(records), *disturbed_notes(records))]
     return found + [f"The depth prior of {', '.join(who)} is made from {what}." for what, who in given.items() if what]
 
