@@ -5,6 +5,7 @@ Files may be anything by now. Each is read when it is asked for, within limits; 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -15,7 +16,7 @@ import numpy as np
 
 from tdgbench.cells.cameras import Cameras, read_cameras
 from tdgbench.cells.cell_tables import read_log, read_views
-from tdgbench.cells.paths import DETERMINACY, LOG_FILE, MASKS, PARTS_FILE, RECORD_FILE, files_of
+from tdgbench.cells.paths import DETERMINACY, LOG_FILE, MASKS, PARTS_FILE, RECORD_FILE, VIEWS_FILE, files_of
 from tdgbench.cells.read_files import MAX_PICTURE, read_named
 from tdgbench.cells.record import Record, read_each
 from tdgbench.cells.renders import StoredMethod, background_of, blending_of, render_model, response_of
@@ -70,6 +71,15 @@ def hashes_of_content(recorded: dict[str, str]) -> dict[str, str]:
     {'model.ply': 'ab'}
     """
     return {name: value for name, value in recorded.items() if name != LOG_FILE}
+
+
+def shared_content(record: Record) -> str:
+    """Return what a cell shares with equal ones, whatever they are scored by: files but tables, and ground truth.
+
+    It is empty where the record has no hashes.
+    """
+    files = {name: value for name, value in hashes_of_content(record.hashes).items() if name != VIEWS_FILE}
+    return json.dumps([files, record.truth], sort_keys=True) if files else ""
 
 
 @dataclass(frozen=True)

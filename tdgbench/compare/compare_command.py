@@ -6,17 +6,19 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 from rich.table import Table
 from rich.text import Text
 
 from tdgbench.compare import compared_cells as compared
-from tdgbench.compare.causes import KINDS, PROTOCOL, Cause, find_causes, in_brief, is_of_times, why_no_times
+from tdgbench.compare.causes import KINDS, Cause, find_causes, in_brief, is_of_times, why_no_times
 from tdgbench.compare.compared_cells import FIRST, IDENTICAL, NOT_COMPARED, ONE_TRAINING, TWO_PROTOCOLS
 from tdgbench.compare.comparison_page import write_page
-from tdgbench.compare.pairs import Pairs, find_pairs, place_of
+from tdgbench.compare.pairs import PLACE, Pairs, find_pairs, place_of
 from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
+from tdgbench.tables import methods
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
 from tdgbench.tables.columns import own_columns
@@ -25,7 +27,7 @@ from tdgbench.tables.results import Results, read_results
 from tdgbench.tables.setup_notes import setup_by_name
 from tdgbench.tables.verdicts import UNDECIDED
 from tdgbench.terminal import console, errors_in_one_line, say
-from tdgbench.text import one_line
+from tdgbench.text import named, one_line
 
 MOST_CAUSES = 12  # of a kind, on the terminal
 
@@ -112,26 +114,33 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     of_scores = table.loc[is_score, "verdict"]
     sentences = compared.verdicts(table, pairs)
     if set(of_scores) - {NOT_COMPARED} == {IDENTICAL}:
-        found.append(f"all scores that are compared are identical, in {len(pairs)} cell{'s' * (len(pairs) > 1)}")
+        rows = table[np.array(is_score) & (table["verdict"] == IDENTICAL)].drop_duplicates(PLACE)
+        found.append(f"all scores that are compared are identical, in {(cells := int(rows['seeds'].sum()))} cell"
+                     f"{'s' * (cells > 1)}")  # fmt: skip
         sentences = [sentence for sentence in sentences if NOT_COMPARED in sentence]
     found += sentences
     if (table.loc[table["verdict"] == UNDECIDED, "seeds"] == 1).any():
         found.append("one seed has no interval, so its scores are undecided: run both with seed=0,1,2")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
-        further = {record.seed for record in alone if place_of(record) in pairs.by_place}
-        if further:
-            both, more = (
-                f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, sorted(seeds)))}"
-                for seeds in ({pair.a.record.seed for pair in pairs}, further)
-            )
-            found.append(f"means are over {both}, which both have; {name} has {more} as well, which its tables average")
+        means_of: dict[str, list[str]] = {}
+        for place, by_seed in pairs.by_place.items():
+            if further := sorted({record.seed for record in alone if place_of(record) == place}):
+                both, more = (
+                    f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, sorted(seeds)))}" for seeds in (by_seed, further)
+                )
+                said = f"means are over {both}, which both have; {name} has {more} as well, which its tables average"
+                means_of.setdefault(said, []).append(f"{methods.label(place[2])} on {place[1]}")
+        found += [said if len(who) == len(pairs.by_place) else f"{named(who)}: {said}"
+                  for said, who in means_of.items()]  # fmt: skip
     once = sum(pair.is_one_training for pair in pairs)
     if once:
         some = "" if once == len(pairs) else f" in {once} of {len(pairs)} cells"
         found.append(f"{ONE_TRAINING}{some}: models, renders and logs of A and B are equal (scored again, or copied), "
                      "so there is no repeat and no second time")  # fmt: skip
-    if any(pair.has_changed_scores for pair in pairs) and not any(cause.kind == PROTOCOL for cause in causes):
-        found.append("a record was changed: renders, ground truth and protocol are equal, PSNR is not; run tdgbench "
+    names = dict.fromkeys(name for pair in pairs for name in pair.changed_scores)
+    if changed := [name for name in names if not any(name in cause.scores for cause in causes)]:
+        labels = named(measure_of(name).label for name in changed)
+        found.append(f"a record was changed: renders, ground truth and protocol are equal, {labels} not; run tdgbench "
                      "verify on both")  # fmt: skip
     if why := why_no_times(causes):
         found.append(f"times do not compare: {why}")

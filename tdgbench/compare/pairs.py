@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import NamedTuple
 
-from tdgbench.cells.folder import hashes_of_content
+from tdgbench.cells.folder import shared_content
 from tdgbench.cells.paths import VIEWS_FILE
 from tdgbench.cells.record import Record
 from tdgbench.tables.long_table import metric_value
@@ -16,6 +16,9 @@ from tdgbench.tables.results import Cell
 PLACE = ["dataset", "scene", "method", "init", "variant"]
 Place = tuple[str, ...]  # values of PLACE
 place_of: Callable[[Record], Place] = attrgetter(*PLACE)
+
+
+EXACT, SMALLEST_CHANGE = ("psnr", "ssim", "mae_degC"), 1e-6  # scores that pictures determine
 
 
 class ComparedCell(NamedTuple):
@@ -29,11 +32,13 @@ class ComparedCell(NamedTuple):
         return a == b and len(a) > 1
 
     @property
-    def has_changed_scores(self) -> bool:
-        """Whether equal pictures of renders and ground truth have two values of PSNR."""
-        a, b = ({**hashes_of_content(cell.record.hashes), VIEWS_FILE: ""} for cell in self)
-        values = [metric_value(cell.record, "psnr")[0] for cell in self]
-        return a == b and len(a) > 1 and round(values[0], 6) != round(values[1], 6)
+    def changed_scores(self) -> list[str]:
+        """Scores of which equal pictures of renders and ground truth have two values."""
+        mine, theirs = (shared_content(cell.record) for cell in self)
+        if not mine or mine != theirs:
+            return []
+        values = {name: [metric_value(cell.record, name)[0] for cell in self] for name in EXACT}
+        return [name for name, (a, b) in values.items() if abs(a - b) > SMALLEST_CHANGE]
 
 
 @dataclass(frozen=True)

@@ -75,8 +75,10 @@ def settling_panel(cells: Sequence[Cell], colours: Mapping[str, str]) -> dict[st
                 continue
             other = next((f", {LABELS[one]}" for one in OTHERS if name.endswith(f"{one}_curriculum")), "")
             label, settled_at = methods.label(column) + other, part.get("settled_at", 0)
-            iterations, _, psnrs = zip(*checks, strict=True)
-            axes.plot(iterations, psnrs, "--" if other else "-", color=colours[column], linewidth=1,
+            iterations, scales, psnrs = zip(*checks, strict=True)
+            starts = [i for i in range(1, len(scales)) if scales[i] != scales[i - 1]]  # gaps: two sizes do not compare
+            along, shown = (np.insert(np.array(each, float), starts, np.nan) for each in (iterations, psnrs))
+            axes.plot(along, shown, "--" if other else "-", color=colours[column], linewidth=1,
                       label=None if label in drawn else plain(label))  # fmt: skip
             drawn.append(label)
             before = [psnr for iteration, psnr in zip(iterations, psnrs, strict=True) if iteration <= settled_at]

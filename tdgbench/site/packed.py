@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,8 +14,8 @@ from typing import Any
 
 import pandas as pd
 
-from tdgbench.cells.folder import hashes_of_content
-from tdgbench.cells.paths import VIEWS_FILE, folder_name
+from tdgbench.cells.folder import shared_content
+from tdgbench.cells.paths import folder_name
 from tdgbench.cells.plan import Plan, read_plan
 from tdgbench.cells.protocol import protocol_settings
 from tdgbench.cells.record import Record
@@ -58,6 +57,11 @@ class Pack:
     def cells(self) -> list[Cell]:
         """The finished cells."""
         return self.tables.results.finished
+
+    @property
+    def methods(self) -> str:
+        """The methods of its cells, as it prints them."""
+        return joined(self.label(record.method) for record in self.tables.records)
 
     @property
     def own_metrics(self) -> list[str]:
@@ -150,10 +154,9 @@ class BoardRow:
 
     @cached_property
     def psnr_by_content(self) -> dict[str, str]:
-        """PSNR of its cells by what they share with equal ones, whatever else these are scored by: files but tables."""
-        found = [(hashes_of_content(one.hashes), metric_value(one, "psnr")[0]) for one in self.records]
-        texts = ((json.dumps({**hashes, VIEWS_FILE: ""}, sort_keys=True), psnr) for hashes, psnr in found if hashes)
-        return {text: f"{psnr:.6f}" for text, psnr in texts}
+        """PSNR of its cells by what they share with equal ones (`shared_content`)."""
+        texts = ((shared_content(one), metric_value(one, "psnr")[0]) for one in self.records)
+        return {text: f"{psnr:.6f}" for text, psnr in texts if text}
 
     @property
     def content(self) -> frozenset[str]:
@@ -176,7 +179,8 @@ class BoardRow:
                   for r in self.records}  # fmt: skip
         return {
             "seeds": str(len({record.seed for record in self.records})),
-            "test views": joined(str(record.views.get("test", "n/a")) for record in self.records),
+            "test views": joined(str(record.views.get("test", "n/a")) for record in self.records)
+            + " each" * (len(self.scenes) > 1),
             "iterations": iterations_in_words(self.records),
             "size, px": joined(size_of(cell) for cell in self.cells),
             "range, °C": "several" if len(ranges) > 1 else ranges.pop(),

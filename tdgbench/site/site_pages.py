@@ -42,7 +42,7 @@ from tdgbench.site.ranking import ranked
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows, doubts_of
 from tdgbench.tables.claims import judge_claims, load_claims
-from tdgbench.tables.claims.evidence import JudgedClaim, evidence_of
+from tdgbench.tables.claims.evidence import ClaimEvidence, JudgedClaim, evidence_of
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
@@ -127,19 +127,20 @@ class _Site:
             scenes.setdefault(dataset, []).append(scene)
         files = {"index.html": self._page("index.html.j2", "", boards=boards_of(self.rows), packs=self.packs,
                                           legend=self._legend(), data={in_words(n): s for n, s in scenes.items()},
-                                          equal=equal_data(self.packs).values())}  # fmt: skip
+                                          equal=dict.fromkeys(equal_data(self.packs).values()))}  # fmt: skip
         for name in ("site.css", "site.js"):
             files[name] = self.environment.get_template(f"{name}.j2").render().encode()
         for dataset, scene in sorted({(row.dataset, row.scene) for row in self.rows if not row.is_average}):
             files |= self._scene(dataset, scene)
         names = sorted({row.method for row in self.rows})
-        claims = _claims(self.packs, names)
+        evidence = evidence_of([pack.tables.results.folder for pack in self.packs])
+        claims = _claims(evidence, names)
         for name in names:
             rows = [row for row in self.rows if row.method == name]
             files[method_page(name)] = self._page(
                 "method.html.j2", "../", name=name, label=joined(row.pack.label(name) for row in rows),
                 is_known=file_of(name) is not None, claims=claims[name], reading=reading_of(name, self.packs),
-                boards=boards_of(rows),
+                boards=boards_of(rows), not_counted=evidence.not_counted,
             )  # fmt: skip
         for pack in self.packs:
             shown = (*SCORES, *pack.own_metrics)
@@ -289,9 +290,10 @@ def palette_in_words(rows: Iterable[BoardRow]) -> str:
 
 
 def equal_data(packs: Iterable[Pack]) -> dict[Place, str]:
-    """Return a sentence for each scene whose test images are those of another one."""
+    """Return a sentence for each scene that has the test images of another one, once for a pair of scenes."""
     equal = equal_scenes(cell.record for pack in packs for cell in pack.cells)
-    return {twin: equal_in_words(twin, first) for twin, first in equal.items()}
+    sentences = {twin: equal_in_words(twin, first) for twin, first in equal.items()}
+    return {first: sentences[twin] for twin, first in equal.items()} | sentences
 
 
 def cell_rows(records: Iterable[Record], shown: Sequence[str]) -> list[list[str]]:
@@ -319,10 +321,10 @@ def reading_of(method: str, packs: Sequence[Pack]) -> str:
     return "\n".join(f"{name}: {json.dumps(value)}" for name, value in named.items())
 
 
-def _claims(packs: Sequence[Pack], names: Sequence[str]) -> dict[str, list[JudgedClaim]]:
+def _claims(evidence: ClaimEvidence, names: Sequence[str]) -> dict[str, list[JudgedClaim]]:
     """Return the claims that name each method, with verdicts on the published numbers and on those of all packs."""
     claims, pair = load_claims(), methods.paper_pair()
-    judged = judge_claims(evidence_of([pack.tables.results.folder for pack in packs]), claims)
+    judged = judge_claims(evidence, claims)
     named = [{*(claim.methods or pair), *claim.against} for claim in claims]
     return {name: [one for one, of_claim in zip(judged, named, strict=True) if name in of_claim] for name in names}
 

@@ -14,7 +14,7 @@ import pandas as pd
 
 from tdgbench.tables.long_table import with_averages
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL, digits, gain, measure_of
-from tdgbench.tables.methods import paper_pair
+from tdgbench.tables.methods import label, paper_pair
 from tdgbench.tables.published import PAPER, load_sources, published_elsewhere, published_main
 
 PLACE = ["method", "dataset", "scene", "metric"]
@@ -88,7 +88,7 @@ def gain_against_spread(main: pd.DataFrame, metrics: list[str]) -> str:
         compared = "equal to" if np.isclose(mean, shared.spread) else larger
         sentences.append(
             f"the gain in {measure_of(metric).label} is {total}; over the {shared.scenes} scenes that papers share it "
-            f"is {there}, {compared} the {spread} between their averages"
+            f"is {there}, {compared} the {spread} by which papers' averages of {label(paper_pair().baseline)} differ"
         )
     return "; ".join(sentences)
 

@@ -11,6 +11,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from tdgbench.cells.plan import Plan
@@ -145,13 +146,19 @@ def _main(results: Results, options: TableOptions) -> Tables:
     cells = cell_rows(records, results.plan, asked=[name for name in ASKED if name in options.columns])
     main, by_seed = with_seeds(with_protocols(with_averages(scene_rows(cells)), records), cells)
     main = main.merge(intervals(results.finished), on=KEYS, how="left")
-    main.loc[main["value"].isna(), ["ci95_low", "ci95_high"]] = float("nan")
+    is_time = main["metric"] == HOURS.name
+    main.loc[main["value"].isna() | is_time, ["ci95_low", "ci95_high"]] = float("nan")  # no mean over views
     main, notes, problems = Trainings(records, COLUMN_OF, options.is_ranking_unlike).set_apart(main)
     finished = [cell.record for cell in results.finished]
     equal = equal_scenes(finished)
     main = with_bold(with_image_values(main, records, COLUMN_OF), by_seed, ["dataset", "scene"])[CSV_COLUMNS]
     if any(map(was_disturbed, finished)):
-        main.loc[main["metric"] == HOURS.name, "bold"] = False
+        main.loc[is_time, "bold"] = False
+        busy = {(COLUMN_OF(one), one.dataset, scene) for one in finished if was_disturbed(one)
+                for scene in (one.scene, AVERAGE, OVERALL)}  # fmt: skip
+        places = zip(main["method"], main["dataset"], main["scene"], strict=True)
+        is_busy = np.array([(m, d, s) in busy or (s == OVERALL and any(b[0] == m for b in busy)) for m, d, s in places])
+        main.loc[is_time & is_busy & main["value"].notna(), "reason"] = "of a busy machine: not compared"
     comparisons = compare_methods(cells, main, results.finished, equal)
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     difference = against_published(main, published_main(), KEYS, records, COLUMN_OF) if of_paper else None

@@ -115,7 +115,7 @@ def best_or_tied(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.nda
     """
     known = np.flatnonzero(~np.isnan(values))
     marks = np.zeros(len(values), dtype=bool)
-    if len(known) < 2 or not measure_of(metric).has_better_side:
+    if len(known) < 2 or not measure_of(metric).has_better_side or is_of_training(metric):
         return marks
     best = max(known, key=lambda i: gain(metric, values[i], 0.0))
     changes = {i: change_over_seeds(metric, by_seed[i], by_seed[best]) for i in known if i != best}

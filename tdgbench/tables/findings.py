@@ -203,15 +203,17 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
 
 def _lengths(pair: methods.MethodPair, records: Sequence[Record]) -> list[str]:
     """Return after how many iterations the trainings of a pair ended, in a list; empty where all have the same."""
-    found = [
+    sides: list[dict[tuple[object, ...], int]] = [
         {
-            one.iterations
+            (one.dataset, one.scene, one.seed): one.iterations
             for one in records
             if method_label(one, with_init=True) == column and one.made_elsewhere is None
         }
         for column in pair
     ]
-    if not all(found) or len(set().union(*found)) == 1:
+    both = sides[0].keys() & sides[1].keys()
+    found = [{side[place] for place in both} for side in sides]
+    if not both or len(set().union(*found)) == 1:
         return []
     ends = [" to ".join(dict.fromkeys((str(min(each)), str(max(each))))) for each in found]
     return [f"trainings ended after {' against '.join(ends)} iterations"]

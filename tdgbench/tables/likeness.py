@@ -203,9 +203,22 @@ def disturbed_notes(records: Iterable[Record]) -> list[str]:
         if was_disturbed(record)
     ]
     if not busy:
-        return []
+        return _uneven_times(records)
     ratio = f"wall time up to {max(busy):.1f} times the processor time"
     return [f"times of {len(busy)} of {len(records)} cells are of a busy machine ({ratio}): they are not compared"]
+
+
+def _uneven_times(records: Iterable[Record]) -> list[str]:
+    """Return a note where trainings with several threads had unlike shares of their cores, in a list."""
+    shares = [
+        record.seconds["train"] / record.train_processor_seconds
+        for record in records
+        if record.backend in ON_CPU and record.train_processor_seconds and record.environment.get("threads") != 1
+    ]
+    if not shares or max(shares) < BUSY * min(shares):
+        return []
+    span = f"wall time {min(shares):.2f} to {max(shares):.2f} of the processor time"
+    return [f"times of cells with several threads, {span}: other work may have slowed some"]
 
 
 def is_selected(record: Record) -> bool:

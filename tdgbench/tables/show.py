@@ -113,7 +113,7 @@ def show_sensitivity(sensitivity: pd.DataFrame) -> None:
         numbers = ["n/a"] * 5
         if row["cells"]:
             changes = (as_text(row["score"], row[name], form="+.3f") for name in ("mean_change", "largest_change"))
-            ranks = f"{row['rank_correlation']:.2f} of {row['ranked']}" if row["ranked"] else "n/a"
+            ranks = f"{row['rank_correlation']:.2f} (in {row['ranked']})" if row["ranked"] else "n/a"
             best = f"{row['other_best']} of {row['groups']}"
             numbers = [*changes, f"{row['reversed']} of {row['pairs']}", best, ranks]
         rows.append([measure_of(row["score"]).label, row["convention"], *numbers])

@@ -26,6 +26,7 @@ from tdgbench.tables.results import read_results
 from tdgbench.tables.sensitivity import Weights, sensitivity
 from tdgbench.tables.show import show_claims, show_problems, show_sensitivity, show_tables
 from tdgbench.terminal import errors_in_one_line, say, show_findings
+from tdgbench.text import one_line
 
 
 def main(arguments: list[str]) -> int:
@@ -92,12 +93,21 @@ def _sensitivity(experiment: Path, weights: Weights) -> int:
 
 def _claims(experiments: list[Path]) -> int:
     """Check the paper's claims against the published tables and all cells of the experiments; write them to each."""
-    claims = judge_claims(evidence_of(experiments) if experiments else None)
+    evidence = evidence_of(experiments) if experiments else None
+    claims = judge_claims(evidence)
+    ours = ", ".join(folder.resolve().name for folder in experiments)
     for experiment in experiments:
         folder = experiment / "tables"
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / "claims.csv", as_csv(claims_table(claims), as_is=("published_seen", "ours_seen")))
+        write_text(
+            folder / "claims.csv",
+            as_csv(claims_table(claims).assign(experiments=ours), as_is=("published_seen", "ours_seen")),
+        )
     show_claims(claims)
+    if evidence is not None:
+        say(f"our results: {ours}")
+        for sentence in evidence.not_counted:
+            say(one_line(sentence))
     problems = [problem for folder in experiments for problem in read_results(folder).problems]
     show_problems(problems)
     show_findings(claims_in_words(claims))

@@ -144,8 +144,7 @@ def test_another_psnr_of_equal_renders_is_a_changed_record(tmp_path, capsys):
         write(tmp_path / name, scores={"psnr": psnr}, hashes={"model.ply": "ab" * 32, "renders/1.png": "cd" * 32})
     main([str(tmp_path / "a"), str(tmp_path / "b")])
     assert (
-        "found: a record was changed: renders, ground truth and protocol are equal, PSNR is not"
-        in capsys.readouterr().out
+        "found: a record was changed: renders, ground truth and protocol are equal, PSNR not" in capsys.readouterr().out
     )
 
 

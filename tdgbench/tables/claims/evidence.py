@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,8 +11,7 @@ from typing import NamedTuple, TypeVar
 import pandas as pd
 from pydantic import ConfigDict
 
-from tdgbench.cells.folder import hashes_of_content
-from tdgbench.cells.paths import VIEWS_FILE
+from tdgbench.cells.folder import shared_content
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.prior_sources import SOURCES
 from tdgbench.cells.record import Record, no_records
@@ -104,6 +102,7 @@ class ClaimEvidence:
     printed: whether the values were rounded for print, so that each is known to half a unit only. cells: the cells
     behind our tables. note: the cells of the main table, in words. equal_sized: cells that have the number of Gaussians
     that was asked for; no table and no other claim reads them. by_seed: `seed_values` of our main table.
+    not_counted: on cells of ours that count for no claim, a sentence for each method.
     """
 
     main: pd.DataFrame
@@ -113,6 +112,7 @@ class ClaimEvidence:
     note: str = ""
     equal_sized: tuple[Cell, ...] = ()
     by_seed: pd.DataFrame | None = None
+    not_counted: tuple[str, ...] = ()
 
     @property
     def overall(self) -> str:
@@ -192,11 +192,17 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     Raises ValueError for a folder without records.
     """
     cells: list[Cell] = []
+    dropped: dict[tuple[str, str], int] = {}
     for folder in experiments:
         results = read_results(folder)
         if not results.cells:
             raise no_records(folder)
-        cells += [cell for cell in results.finished if _is_plain(cell.record)]
+        for cell in results.finished:
+            if why := _why_not_counted(cell.record):
+                place = methods.label(cell.record.method), why
+                dropped[place] = dropped.get(place, 0) + 1
+            else:
+                cells.append(cell)
     cells = _each_once(cells)
     sized = [cell for cell in cells if cell.record.setting("budget.gaussians") is not None]
     equal = [c for c in sized if c.record.gaussians.get("thermal") == c.record.setting("budget.gaussians")]
@@ -207,15 +213,15 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     rows = _with_times_of_one_machine(cell_rows([replace(cell.record, variant="") for cell in chosen], plan), chosen)
     main, by_seed = with_averages(scene_rows(rows)), seed_values(rows) if chosen else None
     note = "; ".join(filter(None, [_lengths(chosen), evidence.published_pairs[1]]))
-    return replace(evidence, main=main, note=note, by_seed=by_seed)
+    sentences = (f"{n} trainings of {who} count for no claim: {why}" for (who, why), n in dropped.items())
+    return replace(evidence, main=main, note=note, by_seed=by_seed, not_counted=tuple(sentences))
 
 
 def _each_once(cells: Sequence[Cell]) -> list[Cell]:
-    """Return the cells, each training once that several experiments hold, with the time of a machine that was free."""
+    """Return the cells, each training once that several experiments hold: with most scores, of a free machine."""
     found: dict[object, Cell] = {}
-    for cell in sorted(cells, key=lambda cell: was_disturbed(cell.record)):
-        record, hashes = cell.record, hashes_of_content(cell.record.hashes)
-        content = json.dumps({**hashes, VIEWS_FILE: ""}, sort_keys=True) if hashes else str(cell.folder)
+    for cell in sorted(cells, key=lambda cell: (len(cell.record.missing), was_disturbed(cell.record))):
+        record, content = cell.record, shared_content(cell.record) or str(cell.folder)
         found.setdefault((record.method, record.init, *cell.dataset_and_scene, record.seed, content), cell)
     return [cell for cell in cells if cell in found.values()]
 
@@ -268,11 +274,13 @@ def _is_built_in(cells: Iterable[Cell]) -> bool:
     return all(cell.record.is_of_built_in_scene for cell in cells)
 
 
-def _is_plain(record: Record) -> bool:
+def _why_not_counted(record: Record) -> str:
+    """Return why a cell counts for no claim; empty if it does."""
     if not record.prior_source.counts:
-        return False
-    has_several_priors = any(override.startswith("prior") for override in record.variant.split(","))
-    return not has_several_priors and not overrides_of(record)
+        return f"the depth prior is made from {record.prior_source.in_full}"
+    if any(override.startswith("prior") for override in record.variant.split(",")):
+        return "their sweep has several priors"
+    return "options are not those of the method's file" if overrides_of(record) else ""
 
 
 def _lengths(cells: Sequence[Cell]) -> str:

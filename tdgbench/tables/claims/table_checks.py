@@ -271,7 +271,11 @@ def _label(metric: str) -> str:
 def _value(evidence: ClaimEvidence, method: str, scene: str, metric: str) -> float:
     values = evidence.values.get((method, scene, metric), [])
     if len(values) != 1:
-        raise MissingError(f"no {_label(metric)} of {methods.label(method)} at {scene}")
+        keys = zip(evidence.main["method"], evidence.main["scene"], evidence.main["metric"], strict=True)
+        rows = evidence.main[[key == (method, scene, metric) for key in keys]]
+        reasons = [why for why in rows["reason"] if why] if "reason" in rows else []
+        why = f": {reasons[0]}" if reasons else ""
+        raise MissingError(f"no {_label(metric)} of {methods.label(method)} at {scene}{why}")
     return values[0]
 
 
