@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from tdgbench.cells.ground_truth import views_with_other_truth
@@ -81,8 +81,8 @@ class Cause(NamedTuple):
 def find_causes(pairs: Pairs) -> list[Cause]:
     """Return every setting that differs in a pair, by kind, most frequent ones first; their ground truth among them.
 
-    An option that is null equals one that a record lacks: it is of a version before there was the option. So is another
-    option of the budget that a record lacks, and a difference of versions.
+    An option that is null equals one that a record lacks: it is of a version before there was the option. Another
+    option of the budget that a record lacks is a difference of versions, unless the record has null in its group.
     """
     found: dict[tuple[str, str], Counter[tuple[str, str]]] = {}
     places: dict[tuple[str, str], set[Place]] = {}
@@ -91,8 +91,7 @@ def find_causes(pairs: Pairs) -> list[Cause]:
         a[TRUTH], b[TRUTH] = "A's", truth_in_words(pair)
         for key, (mine, theirs) in differences([a, b], LACKING).items():
             if {mine, theirs} != {LACKING, "null"}:
-                have_budgets = all((TRAINING, "budget.iterations") in one for one in (a, b))
-                if LACKING in (mine, theirs) and key[1].startswith("budget.") and have_budgets:
+                if LACKING in (mine, theirs) and _is_newer(key[1], a if mine == LACKING else b):
                     key = VERSION, key[1]
                 found.setdefault(key, Counter())[mine, theirs] += 1
                 places.setdefault(key, set()).add(place_of(pair.a.record))
@@ -102,6 +101,13 @@ def find_causes(pairs: Pairs) -> list[Cause]:
     ]
     kinds = list(KINDS)
     return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells))
+
+
+def _is_newer(name: str, lacking: Mapping[tuple[str, str], str]) -> bool:
+    """Return whether an option is one of the budget that the version of a record without it did not have."""
+    parts = name.split(".")
+    groups = [(TRAINING, ".".join(parts[:n])) for n in range(2, len(parts))]
+    return parts[0] == "budget" and (TRAINING, "budget.iterations") in lacking and not any(g in lacking for g in groups)
 
 
 def in_brief(causes: Iterable[Cause]) -> str:

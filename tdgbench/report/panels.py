@@ -78,7 +78,7 @@ def settling_panel(cells: Sequence[Cell], colours: Mapping[str, str]) -> dict[st
             iterations, scales, psnrs = zip(*checks, strict=True)
             starts = [i for i in range(1, len(scales)) if scales[i] != scales[i - 1]]  # gaps: two sizes do not compare
             along, shown = (np.insert(np.array(each, float), starts, np.nan) for each in (iterations, psnrs))
-            axes.plot(along, shown, "--" if other else "-", color=colours[column], linewidth=1,
+            axes.plot(along, shown, ".--" if other else ".-", color=colours[column], linewidth=1, markersize=1.5,
                       label=None if label in drawn else plain(label))  # fmt: skip
             drawn.append(label)
             before = [psnr for iteration, psnr in zip(iterations, psnrs, strict=True) if iteration <= settled_at]

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import isnan
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -156,12 +157,13 @@ class BoardRow:
     def psnr_by_content(self) -> dict[str, str]:
         """PSNR of its cells by what they share with equal ones (`shared_content`)."""
         texts = ((shared_content(one), metric_value(one, "psnr")[0]) for one in self.records)
-        return {text: f"{psnr:.6f}" for text, psnr in texts if text}
+        return {text: f"{psnr:.6f}" for text, psnr in texts if text and not isnan(psnr)}
 
     @property
     def content(self) -> frozenset[str]:
         """What its cells share with equal ones; empty if that is not known of all."""
-        return frozenset(self.psnr_by_content) if len(self.psnr_by_content) == len(self.cells) else frozenset()
+        found = [shared_content(one) for one in self.records]
+        return frozenset(found) if all(found) else frozenset()
 
     @property
     def scenes(self) -> list[str]:

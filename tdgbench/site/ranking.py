@@ -39,14 +39,14 @@ def ranked(rows: Iterable[BoardRow]) -> list[BoardRow]:
 def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
     """Rank rivals; one that holds the cells of another pack has its rank, one that holds some of them has none.
 
-    Nor have rows of equal renders whose PSNR differs: somebody changed a record.
+    Rows of equal renders whose PSNR differs have no rank: somebody changed a record.
     """
     known: dict[str, set[str]] = {}
     for row in rows:
         for content, psnr in row.psnr_by_content.items():
             known.setdefault(content, set()).add(psnr)
     changed = [row for row in rows if any(len(known[content]) > 1 for content in row.psnr_by_content)]
-    rows = [row for row in rows if row not in changed]
+    rows = [row for row in rows if all(row is not one for one in changed)]
     by_content: dict[tuple[object, ...], list[BoardRow]] = {}
     for row in rows:
         same: tuple[object, ...] = *row.started, row.content or row.pack.page  # however its options were given

@@ -140,7 +140,8 @@ class _Site:
             files[method_page(name)] = self._page(
                 "method.html.j2", "../", name=name, label=joined(row.pack.label(name) for row in rows),
                 is_known=file_of(name) is not None, claims=claims[name], reading=reading_of(name, self.packs),
-                boards=boards_of(rows), not_counted=evidence.not_counted,
+                boards=boards_of(rows), 
+                not_counted=[sentence for method, sentence in evidence.not_counted if method == name],
             )  # fmt: skip
         for pack in self.packs:
             shown = (*SCORES, *pack.own_metrics)

@@ -154,12 +154,11 @@ def _main(results: Results, options: TableOptions) -> Tables:
     main = with_bold(with_image_values(main, records, COLUMN_OF), by_seed, ["dataset", "scene"])[CSV_COLUMNS]
     if any(map(was_disturbed, finished)):
         main.loc[is_time, "bold"] = False
-        busy = {(COLUMN_OF(one), one.dataset, scene) for one in finished if was_disturbed(one)
-                for scene in (one.scene, AVERAGE, OVERALL)}  # fmt: skip
-        places = zip(main["method"], main["dataset"], main["scene"], strict=True)
-        is_busy = np.array([(m, d, s) in busy or (s == OVERALL and any(b[0] == m for b in busy)) for m, d, s in places])
-        main.loc[is_time & is_busy & main["value"].notna(), "reason"] = "of a busy machine: not compared"
     comparisons = compare_methods(cells, main, results.finished, equal)
+    busy = {(COLUMN_OF(one), *place) for one in finished if was_disturbed(one)
+            for place in ((one.dataset, one.scene), (one.dataset, AVERAGE), ("", OVERALL))}  # fmt: skip
+    is_busy = [place in busy for place in zip(main["method"], main["dataset"], main["scene"], strict=True)]
+    main.loc[is_time & main["value"].notna() & np.array(is_busy), "reason"] = "its mean has times of a busy machine"
     of_paper = main["dataset"].isin(DATASETS.values()).any()
     difference = against_published(main, published_main(), KEYS, records, COLUMN_OF) if of_paper else None
     by_length, changes = None, None

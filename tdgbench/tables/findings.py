@@ -6,7 +6,7 @@ They count what the tables hold. Nothing is computed or judged here.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -19,7 +19,7 @@ from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
 from tdgbench.tables.comparisons import COUNTED, EQUAL, MethodComparison, margin_of
 from tdgbench.tables.equal_data import Place, equal_data_notes
 from tdgbench.tables.grids import ERROR
-from tdgbench.tables.likeness import TRAINING_KIND, is_selected, times_at_once, was_disturbed
+from tdgbench.tables.likeness import TRAINING_KIND, is_selected, times_at_once
 from tdgbench.tables.long_table import NO_RECORD, method_label, planned_iterations
 from tdgbench.tables.measures import (
     ABLATION,
@@ -179,7 +179,7 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
     notes = [f"n/a on {without} more"] if without else []
     timed = both.loc[(both["metric"] == HOURS.name) & both["value"].notna(), "method"].nunique() == len(pair)
     is_timed = HOURS.name in set(scenes["metric"])
-    times = _times(pair, records) if is_timed else [_why_no_times(pair, records)] * timed
+    times = _times(pair, records) if is_timed else [_why_no_times(changes)] * timed
     if several and scenes["seeds"].max() > 1:
         has_p = paired.loc[paired["metric"].isin(TOLD), "p"].notna().any()
         tests = ["p: Wilcoxon's signed-rank test over scenes, one-sided: the method is better"] if has_p else []
@@ -192,7 +192,7 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
     of_scenes = main.merge(place[["dataset", "scene"]].drop_duplicates() if not several else compared)
     grounds = [
         *_range(scenes) * several,
-        *_lengths(pair, records),
+        *_lengths(pair, records, set(compared.itertuples(index=False, name=None))),
         *_certainty(place, of_scenes),
         *times,
         *_published_time(pair, scenes),
@@ -201,13 +201,18 @@ def _comparison(comparison: MethodComparison, main: pd.DataFrame, records: Seque
     yield f"{title} {where}: {'; '.join([*map(_change, place.itertuples()), *grounds])}"
 
 
-def _lengths(pair: methods.MethodPair, records: Sequence[Record]) -> list[str]:
-    """Return after how many iterations the trainings of a pair ended, in a list; empty where all have the same."""
+def _lengths(pair: methods.MethodPair, records: Sequence[Record], compared: Collection[tuple[str, str]]) -> list[str]:
+    """Return after how many iterations the trainings of a pair ended, in a list; empty where all have the same.
+
+    compared: data sets and scenes that count.
+    """
     sides: list[dict[tuple[object, ...], int]] = [
         {
             (one.dataset, one.scene, one.seed): one.iterations
             for one in records
-            if method_label(one, with_init=True) == column and one.made_elsewhere is None
+            if method_label(one, with_init=True) == column
+            and one.made_elsewhere is None
+            and (one.dataset, one.scene) in compared
         }
         for column in pair
     ]
@@ -219,9 +224,9 @@ def _lengths(pair: methods.MethodPair, records: Sequence[Record]) -> list[str]:
     return [f"trainings ended after {' against '.join(ends)} iterations"]
 
 
-def _why_no_times(pair: methods.MethodPair, records: Sequence[Record]) -> str:
-    is_busy = any(was_disturbed(one) for one in records if method_label(one, with_init=True) in pair)
-    return f"times are of {'a busy machine' if is_busy else 'unlike machines'}, and not compared"
+def _why_no_times(changes: pd.DataFrame) -> str:
+    rows = changes[(changes["metric"] == HOURS.name) & ~_is_average(changes)]
+    return f"times are not compared: {' or '.join(dict.fromkeys(rows['reason']))}"
 
 
 def _range(scenes: pd.DataFrame) -> list[str]:

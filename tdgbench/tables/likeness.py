@@ -209,16 +209,19 @@ def disturbed_notes(records: Iterable[Record]) -> list[str]:
 
 
 def _uneven_times(records: Iterable[Record]) -> list[str]:
-    """Return a note where trainings with several threads had unlike shares of their cores, in a list."""
-    shares = [
-        record.seconds["train"] / record.train_processor_seconds
-        for record in records
-        if record.backend in ON_CPU and record.train_processor_seconds and record.environment.get("threads") != 1
-    ]
-    if not shares or max(shares) < BUSY * min(shares):
+    """Return a note where seeds of a method with several threads had unlike shares of their cores, in a list."""
+    groups: dict[tuple[object, ...], list[float]] = {}
+    for record in records:
+        threads = record.environment.get("threads")
+        if record.backend in ON_CPU and record.train_processor_seconds and isinstance(threads, int) and threads > 1:
+            place = record.method, record.variant, record.dataset, record.scene, threads
+            groups.setdefault(place, []).append(record.seconds["train"] / record.train_processor_seconds)
+    uneven = [shares for shares in groups.values() if max(shares) > BUSY * min(shares)]
+    if not uneven:
         return []
+    shares = max(uneven, key=lambda shares: max(shares) / min(shares))
     span = f"wall time {min(shares):.2f} to {max(shares):.2f} of the processor time"
-    return [f"times of cells with several threads, {span}: other work may have slowed some"]
+    return [f"times of cells with several threads, {span}: other work may have slowed some seeds"]
 
 
 def is_selected(record: Record) -> bool:

@@ -50,10 +50,10 @@ def with_interval(text: str, low: float, high: float, form: str) -> str:
 def telling_digits(low: float, high: float, digits: int) -> int:
     """Return digits that tell the ends of an interval apart, at most two more than usual.
 
-    >>> telling_digits(0.0006, 0.0014, 3), telling_digits(-0.3, 0.4, 2)
-    (4, 2)
+    >>> telling_digits(0.0006, 0.0014, 3), telling_digits(-0.3, 0.4, 2), telling_digits(-0.0003, 0.0004, 3)
+    (4, 2, 4)
     """
-    return next((d for d in range(digits, digits + 3) if f"{low:.{d}f}" != f"{high:.{d}f}"), digits)
+    return next((d for d in range(digits, digits + 3) if round(low, d) != round(high, d)), digits)
 
 
 def seed_values(cells: pd.DataFrame) -> pd.DataFrame:

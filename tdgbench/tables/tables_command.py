@@ -106,7 +106,7 @@ def _claims(experiments: list[Path]) -> int:
     show_claims(claims)
     if evidence is not None:
         say(f"our results: {ours}")
-        for sentence in evidence.not_counted:
+        for _, sentence in evidence.not_counted:
             say(one_line(sentence))
     problems = [problem for folder in experiments for problem in read_results(folder).problems]
     show_problems(problems)

@@ -156,6 +156,13 @@ def test_an_option_of_the_budget_that_a_version_lacks_is_no_other_training(tmp_p
     assert (cause.kind, cause.change) == (VERSION, "budget.rays: not recorded → 512")
 
 
+def test_a_rule_of_the_budget_that_is_switched_off_is_another_training(tmp_path):
+    for name, growth in (("a", {"views": 3, "z": 2.0}), ("b", None)):
+        write(tmp_path / name, config={"budget": {"name": "lean", "iterations": 9, "growth": growth}})
+    causes = find_causes(pairs_of(tmp_path / "a", tmp_path / "b"))
+    assert causes and {cause.kind for cause in causes} == {TRAINING}
+
+
 def test_two_protocols_are_refused_and_said(tmp_path, capsys):
     weights = {"metrics": {"lpips": {"weights": "/home/ada/vgg.npz"}}}
     a, b = two_experiments(tmp_path, [20.0], [20.0], split="every_8th", config=weights)

@@ -143,4 +143,6 @@ def test_times_of_a_busy_machine_are_not_compared(tmp_path):
     assert changes.loc[("attic", "train_hours"), "seeds"] == 2 and changes.loc[("attic", "psnr"), "seeds"] == 3
     assert not tables.main.query("metric == 'train_hours'")["bold"].any()
     busy = "times of 1 of 6 cells are of a busy machine (wall time up to 4.0 times the processor time)"
+    times = tables.main.query("metric == 'train_hours' and scene == 'attic'").set_index("method")
+    assert dict(times["reason"]) == {"msmg": "its mean has times of a busy machine", "tdg": ""}
     assert any(note.startswith(busy) for note in tables.notes)

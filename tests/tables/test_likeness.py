@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 
 from tdgbench.resources import conf_folder
 from tdgbench.tables.build import TableOptions, Tables, build_tables
-from tdgbench.tables.likeness import OWN, machine, machine_in_words, setups
+from tdgbench.tables.likeness import OWN, disturbed_notes, machine, machine_in_words, setups
 from tdgbench.tables.setup_notes import setup_notes
 from tdgbench.tables.tables_command import main
 from tests.helpers.records import record, write
@@ -210,3 +210,13 @@ def test_renders_of_several_folders_are_alike(tmp_path):
               environment={"threads": 1 + seed})  # fmt: skip
     tables = build_tables(tmp_path)
     assert tables.main.query("metric == 'psnr'")["seeds"].tolist() == [3, 3] and not tables.problems
+
+
+def test_several_threads_tell_other_work_by_the_seeds_of_one_method():
+    def cell(threads, used):
+        environment, seconds = {"threads": threads}, {"train": 10.0}
+        return record(backend="cpu", environment=environment, seconds=seconds, train_processor_seconds=used)
+
+    assert disturbed_notes([cell(2, 20.0), cell(4, 40.0), cell(1, 10.0)]) == []
+    (note,) = disturbed_notes([cell(2, 20.0), cell(2, 11.0)])
+    assert note.startswith("times of cells with several threads, wall time 0.50 to 0.91 of the processor time")

@@ -102,7 +102,7 @@ class ClaimEvidence:
     printed: whether the values were rounded for print, so that each is known to half a unit only. cells: the cells
     behind our tables. note: the cells of the main table, in words. equal_sized: cells that have the number of Gaussians
     that was asked for; no table and no other claim reads them. by_seed: `seed_values` of our main table.
-    not_counted: on cells of ours that count for no claim, a sentence for each method.
+    not_counted: methods of cells of ours that count for no claim, with a sentence for each reason.
     """
 
     main: pd.DataFrame
@@ -112,7 +112,7 @@ class ClaimEvidence:
     note: str = ""
     equal_sized: tuple[Cell, ...] = ()
     by_seed: pd.DataFrame | None = None
-    not_counted: tuple[str, ...] = ()
+    not_counted: tuple[tuple[str, str], ...] = ()
 
     @property
     def overall(self) -> str:
@@ -191,19 +191,20 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     Cells whose prior is made from the sparse points do not: these may come from RGB images, and TDg has thermal ones.
     Raises ValueError for a folder without records.
     """
-    cells: list[Cell] = []
-    dropped: dict[tuple[str, str], int] = {}
+    found: list[list[Cell]] = []
     for folder in experiments:
         results = read_results(folder)
         if not results.cells:
             raise no_records(folder)
-        for cell in results.finished:
-            if why := _why_not_counted(cell.record):
-                place = methods.label(cell.record.method), why
-                dropped[place] = dropped.get(place, 0) + 1
-            else:
-                cells.append(cell)
-    cells = _each_once(cells)
+        found.append(results.finished)
+    cells: list[Cell] = []
+    dropped: dict[tuple[str, str], int] = {}
+    for cell in _each_once(found):
+        if why := _why_not_counted(cell.record):
+            place = cell.record.method, why
+            dropped[place] = dropped.get(place, 0) + 1
+        else:
+            cells.append(cell)
     sized = [cell for cell in cells if cell.record.setting("budget.gaussians") is not None]
     equal = [c for c in sized if c.record.gaussians.get("thermal") == c.record.setting("budget.gaussians")]
     cells = [cell for cell in cells if cell not in sized]
@@ -213,17 +214,31 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     rows = _with_times_of_one_machine(cell_rows([replace(cell.record, variant="") for cell in chosen], plan), chosen)
     main, by_seed = with_averages(scene_rows(rows)), seed_values(rows) if chosen else None
     note = "; ".join(filter(None, [_lengths(chosen), evidence.published_pairs[1]]))
-    sentences = (f"{n} trainings of {who} count for no claim: {why}" for (who, why), n in dropped.items())
+    sentences = (
+        (method, f"{n} training{'s' * (n > 1)} of {methods.label(method)} count{'s' * (n == 1)} for no claim: {why}")
+        for (method, why), n in dropped.items()
+    )
     return replace(evidence, main=main, note=note, by_seed=by_seed, not_counted=tuple(sentences))
 
 
-def _each_once(cells: Sequence[Cell]) -> list[Cell]:
-    """Return the cells, each training once that several experiments hold: with most scores, of a free machine."""
+def _each_once(experiments: Sequence[Sequence[Cell]]) -> list[Cell]:
+    """Return the cells, each training once that several experiments hold.
+
+    The experiment with most scores comes first, of equal ones that of a free machine; so times of two methods are of
+    one machine.
+    """
+
+    def fault(cells: Sequence[Cell]) -> tuple[float, float]:
+        count = max(len(cells), 1)
+        busy = sum(was_disturbed(cell.record) for cell in cells)
+        return sum(len(cell.record.missing) for cell in cells) / count, busy / count
+
     found: dict[object, Cell] = {}
-    for cell in sorted(cells, key=lambda cell: (len(cell.record.missing), was_disturbed(cell.record))):
+    for cell in (cell for cells in sorted(experiments, key=fault) for cell in cells):
         record, content = cell.record, shared_content(cell.record) or str(cell.folder)
-        found.setdefault((record.method, record.init, *cell.dataset_and_scene, record.seed, content), cell)
-    return [cell for cell in cells if cell in found.values()]
+        place = record.method, record.init, *cell.dataset_and_scene, record.seed, cell.planned_iterations
+        found.setdefault((*place, content), cell)
+    return list(found.values())
 
 
 def _with_times_of_one_machine(rows: pd.DataFrame, cells: Sequence[Cell]) -> pd.DataFrame:

@@ -68,6 +68,17 @@ def test_a_training_that_two_experiments_hold_counts_once_with_the_time_of_a_fre
     assert only["value"].isna().all() and set(only["reason"]) == {"times of several or busy machines"}
 
 
+def test_trainings_that_do_not_count_are_told_once(tmp_path):
+    prior = {"estimator": "sfm_points", "made_from": "points"}
+    for name in ("one", "two"):
+        for seed in range(2):
+            write(tmp_path / name, seed=seed, variant="prior=mine", prior=prior, hashes={"model.ply": f"{seed}a" * 32})
+    for folders in (["one"], ["one", "two"], ["one", "one"]):
+        found = evidence_of([tmp_path / name for name in folders])
+        ((method, sentence),) = found.not_counted
+        assert not found.cells and method == "tdg" and sentence.startswith("2 trainings of TDg count for no claim: ")
+
+
 def test_several_data_sets_have_an_overall_average(tmp_path):
     for method in ("tdg", "msmg"):
         write(tmp_path, method, 30.0)

@@ -179,7 +179,10 @@ def write_gradients(pixels, size, colors, depth, tile, images, gradients):
 
 @kernel(inline=True)
 def prefetch_pixels(image, channels, tile, height, width):
-    """Prefetch the pixels of the next tile: its rows are far apart in memory, which hardware does not foresee."""
+    """Prefetch the pixels of the next tile: its rows are far apart in memory, which hardware does not foresee.
+
+    With several threads, mostly another one takes that tile.
+    """
     for y in range(tile.top, min(tile.top + TILE, height)):
         end = (y * width + min(tile.left + TILE, width)) * channels - 1
         for c in range(channels):
