@@ -26,8 +26,8 @@ def setup_notes(records: Sequence[Record], timed: bool) -> list[str]:
 
 def setup_facts(records: Sequence[Record], timed: bool) -> list[str]:
     """Return a line with seeds, budget, images, LPIPS network and, of times, machine of cells; none without any."""
-    said = [f"{name}: {values}" for name, values in setup_by_name(records, timed).items()]
-    return ["; ".join(said)] if said else []
+    line = "; ".join(f"{name}: {values}" for name, values in setup_by_name(records, timed).items())
+    return [line] if line else []
 
 
 def setup_by_name(records: Sequence[Record], timed: bool) -> dict[str, str]:
