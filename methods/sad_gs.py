@@ -119,8 +119,9 @@ class SupportControl(DensityControl):
 
     def fades(self, iteration: int) -> bool:
         """Return whether opacities fade at an iteration."""
-        paused = any(self._is_reset(before) for before in range(iteration - self.rules.fade_pause, iteration))
-        return self.is_active(iteration) and iteration % self.rules.fade_every == 0 and not paused
+        if not self.is_active(iteration) or iteration % self.rules.fade_every:
+            return False
+        return not any(self._is_reset(before) for before in range(iteration - self.rules.fade_pause, iteration))
 
     def is_due(self, iteration: int) -> bool:
         return self.fades(iteration) or super().is_due(iteration)

@@ -115,8 +115,8 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     sentences = compared.verdicts(table, pairs)
     if set(of_scores) - {NOT_COMPARED} == {IDENTICAL}:
         rows = table[np.array(is_score) & (table["verdict"] == IDENTICAL)].drop_duplicates(PLACE)
-        found.append(f"all scores that are compared are identical, in {(cells := int(rows['seeds'].sum()))} cell"
-                     f"{'s' * (cells > 1)}")  # fmt: skip
+        cells = int(rows["seeds"].sum())
+        found.append(f"all scores that are compared are identical, in {cells} cell{'s' * (cells > 1)}")
         sentences = [sentence for sentence in sentences if NOT_COMPARED in sentence]
     found += sentences
     if (table.loc[table["verdict"] == UNDECIDED, "seeds"] == 1).any():

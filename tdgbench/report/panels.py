@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from tdgbench.present.figures import as_svg, plain
 from tdgbench.scenes.modalities import LABELS, OTHERS
 from tdgbench.tables import methods
+from tdgbench.tables.cell_names import cell_title
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.results import Cell
-from tdgbench.tables.setup_notes import cell_title
 
 CURVES = {"loss": "loss", "smoothed_psnr": "PSNR of training renders, dB", "gaussians": "Gaussians"}
 SUMMED = ("loss", "gaussians")

@@ -21,6 +21,7 @@ from tdgbench.scenes.registry import LABELS
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import doubts_of
 from tdgbench.tables.build import Tables
+from tdgbench.tables.cell_names import cell_title
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.grids import further_grid, reasons_for_na
 from tdgbench.tables.long_table import method_label
@@ -28,7 +29,6 @@ from tdgbench.tables.measures import MAIN_COLUMNS, digits, known_measures, measu
 from tdgbench.tables.palette import palette_notes
 from tdgbench.tables.readings import changes_as_text
 from tdgbench.tables.results import Cell, Results
-from tdgbench.tables.setup_notes import cell_title
 from tdgbench.tables.verdicts import comparable, load_margins, verdicts_in_words
 from tdgbench.text import named
 

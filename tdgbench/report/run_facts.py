@@ -9,9 +9,10 @@ from tdgbench import __version__
 from tdgbench.bench.commit import commit_in_words
 from tdgbench.cells.plan import Plan
 from tdgbench.cells.record import READ_PHASE, Record
+from tdgbench.tables.cell_names import Fact, method_on_scene, said
 from tdgbench.tables.likeness import version
 from tdgbench.tables.long_table import SPLITS
-from tdgbench.tables.setup_notes import Fact, budgets, method_on_scene, said
+from tdgbench.tables.setup_notes import budgets
 
 NOT_STATED = "not stated by the version that ran it"
 

@@ -20,11 +20,11 @@ from tdgbench.scenes.registry import LABELS
 from tdgbench.scoring.metrics.seen_pixels import is_barely_seen
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows
+from tdgbench.tables.cell_names import cell_title
 from tdgbench.tables.likeness import was_disturbed
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import measure_of
 from tdgbench.tables.results import Cell
-from tdgbench.tables.setup_notes import cell_title
 
 
 @dataclass

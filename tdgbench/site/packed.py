@@ -159,7 +159,7 @@ class BoardRow:
         texts = ((shared_content(one), metric_value(one, "psnr")[0]) for one in self.records)
         return {text: f"{psnr:.6f}" for text, psnr in texts if text and not isnan(psnr)}
 
-    @property
+    @cached_property
     def content(self) -> frozenset[str]:
         """What its cells share with equal ones; empty if that is not known of all."""
         found = [shared_content(one) for one in self.records]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from math import nan
 from typing import NamedTuple
 
 import pandas as pd
@@ -190,18 +191,20 @@ def times_at_once(records: Iterable[Record]) -> list[str]:
 
 def was_disturbed(record: Record) -> bool:
     """Return whether other work took processor time from a training on the CPU, so that its time says little."""
-    used, wall = record.train_processor_seconds, record.seconds.get("train", 0.0)
-    return record.backend in ON_CPU and used is not None and wall > BUSY * used
+    return _wall_by_processor_time(record) > BUSY
+
+
+def _wall_by_processor_time(record: Record) -> float:
+    """Return the wall time of a training on the CPU over its processor time; NaN where that is not known."""
+    used = record.train_processor_seconds
+    known = record.backend in ON_CPU and used is not None
+    return record.seconds.get("train", 0.0) / max(used or 0.0, 1e-9) if known else nan
 
 
 def disturbed_notes(records: Iterable[Record]) -> list[str]:
     """Return the note on trainings beside other work, in a list; empty without any."""
     records = list(records)
-    busy = [
-        record.seconds["train"] / (record.train_processor_seconds or 1e-9)
-        for record in records
-        if was_disturbed(record)
-    ]
+    busy = [ratio for ratio in map(_wall_by_processor_time, records) if ratio > BUSY]
     if not busy:
         return _uneven_times(records)
     ratio = f"wall time up to {max(busy):.1f} times the processor time"
@@ -213,9 +216,9 @@ def _uneven_times(records: Iterable[Record]) -> list[str]:
     groups: dict[tuple[object, ...], list[float]] = {}
     for record in records:
         threads = record.environment.get("threads")
-        if record.backend in ON_CPU and record.train_processor_seconds and isinstance(threads, int) and threads > 1:
+        if isinstance(threads, int) and threads > 1 and (ratio := _wall_by_processor_time(record)) > 0:
             place = record.method, record.variant, record.dataset, record.scene, threads
-            groups.setdefault(place, []).append(record.seconds["train"] / record.train_processor_seconds)
+            groups.setdefault(place, []).append(ratio)
     uneven = [shares for shares in groups.values() if max(shares) > BUSY * min(shares)]
     if not uneven:
         return []

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from methods.sad_gs import Surfaces, at_depth, free_loss
-from methods.voxels import FLATTEST, voxel_gaussians
 from tdgbench.priors import DepthPrior, PriorError
 from tdgbench.splats.geometry import rotation_matrices
 from tdgbench.splats.view import Pinhole
@@ -168,11 +167,3 @@ def test_schedule(small_gray_scene):
     assert (rules.start, rules.opacity_reset_every) == (200, 10_000)
     moved = gaussians_of(ready_to_train(small_gray_scene, NAME, 5, *TRUE, "+density=mcmc"))
     assert type(moved.density.rules).__name__ == "RelocationRules"
-
-
-def test_voxels_of_few_points_have_finite_gaussians():
-    points = np.array([[0.0, 0, 0], [0.01, 0, 0], [5, 5, 5]])
-    for some in (points, points[2:]):
-        gaussians = voxel_gaussians(some, np.full((len(some), 1), 0.5), 0.1, 0)
-        assert all(torch.isfinite(tensor).all() for _, tensor in gaussians.items())
-        assert gaussians.scales.min() >= 0.99 * 2 * FLATTEST * 0.1
