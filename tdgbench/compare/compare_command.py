@@ -22,6 +22,7 @@ from tdgbench.tables import methods
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
 from tdgbench.tables.columns import own_columns
+from tdgbench.tables.equal_data import changed_scores
 from tdgbench.tables.measures import RecordMeasure, measure_of
 from tdgbench.tables.results import Results, read_results
 from tdgbench.tables.setup_notes import setup_by_name
@@ -137,7 +138,8 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
         some = "" if once == len(pairs) else f" in {once} of {len(pairs)} cells"
         found.append(f"{ONE_TRAINING}{some}: models, renders and logs of A and B are equal (scored again, or copied), "
                      "so there is no repeat and no second time")  # fmt: skip
-    names = dict.fromkeys(name for pair in pairs for name in pair.changed_scores)
+    changed_pairs = (changed_scores(cell.record for cell in pair) for pair in pairs)
+    names = dict.fromkeys(name for found in changed_pairs for scores in found.values() for name in scores)
     if changed := [name for name in names if not any(name in cause.scores for cause in causes)]:
         labels = named(measure_of(name).label for name in changed)
         found.append(f"a record was changed: renders, ground truth and protocol are equal, {labels} not; run tdgbench "

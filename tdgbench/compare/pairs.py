@@ -7,18 +7,13 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import NamedTuple
 
-from tdgbench.cells.folder import shared_content
 from tdgbench.cells.paths import VIEWS_FILE
 from tdgbench.cells.record import Record
-from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.results import Cell
 
 PLACE = ["dataset", "scene", "method", "init", "variant"]
 Place = tuple[str, ...]  # values of PLACE
 place_of: Callable[[Record], Place] = attrgetter(*PLACE)
-
-
-EXACT, SMALLEST_CHANGE = ("psnr", "ssim", "mae_degC"), 1e-6  # scores that pictures determine
 
 
 class ComparedCell(NamedTuple):
@@ -30,15 +25,6 @@ class ComparedCell(NamedTuple):
         """Whether all files but the scores are equal, the log with its times among them: `score` and copies do that."""
         a, b = ({**cell.record.hashes, VIEWS_FILE: ""} for cell in self)
         return a == b and len(a) > 1
-
-    @property
-    def changed_scores(self) -> list[str]:
-        """Scores of which equal pictures of renders and ground truth have two values."""
-        mine, theirs = (shared_content(cell.record) for cell in self)
-        if not mine or mine != theirs:
-            return []
-        values = {name: [metric_value(cell.record, name)[0] for cell in self] for name in EXACT}
-        return [name for name, (a, b) in values.items() if abs(a - b) > SMALLEST_CHANGE]
 
 
 @dataclass(frozen=True)

@@ -63,10 +63,11 @@ def curve_panels(cells: Sequence[Cell], colours: Mapping[str, str], problems: li
 def settling_panel(cells: Sequence[Cell], colours: Mapping[str, str]) -> dict[str, Any]:
     """Return the PSNR of held-out views along each training as SVG, with a dot where it settled, and why in sentences.
 
-    Both are empty where no training held views out, as without `SettlingRule`. Other modalities have dashed lines.
+    Both are empty where no training held views out, as without `SettlingRule`; with `has_gaps`, curves are cut where
+    the images' size changes. Other modalities have dashed lines.
     """
     figure, axes = _panel("PSNR of held-out training views, dB", "iterations")
-    drawn, why = list[str](), list[str]()
+    drawn, why, has_gaps = list[str](), list[str](), False
     for cell in cells:
         column = method_label(cell.record, with_init=True)
         for name, part in cell.record.parts.items():
@@ -77,6 +78,7 @@ def settling_panel(cells: Sequence[Cell], colours: Mapping[str, str]) -> dict[st
             label, settled_at = methods.label(column) + other, part.get("settled_at", 0)
             iterations, scales, psnrs = zip(*checks, strict=True)
             starts = [i for i in range(1, len(scales)) if scales[i] != scales[i - 1]]  # gaps: two sizes do not compare
+            has_gaps |= bool(starts)
             along, shown = (np.insert(np.array(each, float), starts, np.nan) for each in (iterations, psnrs))
             axes.plot(along, shown, ".--" if other else ".-", color=colours[column], linewidth=1, markersize=1.5,
                       label=None if label in drawn else plain(label))  # fmt: skip
@@ -86,7 +88,7 @@ def settling_panel(cells: Sequence[Cell], colours: Mapping[str, str]) -> dict[st
                 axes.plot(settled_at, before[-1], "o", color=colours[column], markersize=3)
                 reason = part.get("reason", "n/a")
                 why.append(f"{cell_title(cell.record)}{other}: settled at iteration {settled_at}, since {reason}")
-    return {"svg": _as_svg(figure, axes) if drawn else "", "why": why}
+    return {"svg": _as_svg(figure, axes) if drawn else "", "why": why, "has_gaps": has_gaps}
 
 
 def error_panel(

@@ -22,7 +22,7 @@ def run_facts(plan: Plan, records: Sequence[Record]) -> list[tuple[str, list[str
     commands = [f"{one.words} ({one.date})" for one in plan.commands]
     facts = {"budget": budgets(records), "seeds": _seeds(records), **FACTS}
     return [
-        ("commands" if len(commands) > 1 else "command", commands or [NOT_STATED]),
+        ("commands; a cell is of the last that ran it" if len(commands) > 1 else "command", commands or [NOT_STATED]),
         *((title, said(fact, records)) for title, fact in facts.items() if records),
         ("this page", [f"made by tdgbench {__version__} ({commit_in_words()})"]),
     ]

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import isnan
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -152,12 +151,6 @@ class BoardRow:
     @property
     def rank(self) -> str:
         return "–" if self.ranks is None else "–".join(dict.fromkeys(map(str, self.ranks)))
-
-    @cached_property
-    def psnr_by_content(self) -> dict[str, str]:
-        """PSNR of its cells by what they share with equal ones (`shared_content`)."""
-        texts = ((shared_content(one), metric_value(one, "psnr")[0]) for one in self.records)
-        return {text: f"{psnr:.6f}" for text, psnr in texts if text and not isnan(psnr)}
 
     @cached_property
     def content(self) -> frozenset[str]:

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from tdgbench.cells.folder import shared_content
 from tdgbench.cells.key import differences
 from tdgbench.site.packed import SCORES, BoardRow
 from tdgbench.tables.comparisons import EQUAL, FEWEST_SEEDS, best_or_tied, change_over_seeds
+from tdgbench.tables.equal_data import changed_scores
 from tdgbench.tables.likeness import was_disturbed
-from tdgbench.tables.measures import HOURS
+from tdgbench.tables.measures import HOURS, measure_of
 from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE
-from tdgbench.text import as_typed
+from tdgbench.text import as_typed, named
 
 METRIC = "psnr"  # that ranks are of
 WITHOUT_WORDS = ("scene's files", "ground truth", "views", "masked")  # whose values tell a reader nothing
-CHANGED = "another pack has other PSNR for the same renders: verify both"
 FEW_SEEDS = f"fewer than {FEWEST_SEEDS} seeds, or no rival with as many"
 
 
@@ -39,14 +40,12 @@ def ranked(rows: Iterable[BoardRow]) -> list[BoardRow]:
 def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
     """Rank rivals; one that holds the cells of another pack has its rank, one that holds some of them has none.
 
-    Rows of equal renders whose PSNR differs have no rank: somebody changed a record.
+    Rows of equal renders whose scores differ have no rank: somebody changed a record.
     """
-    known: dict[str, set[str]] = {}
-    for row in rows:
-        for content, psnr in row.psnr_by_content.items():
-            known.setdefault(content, set()).add(psnr)
-    changed = [row for row in rows if any(len(known[content]) > 1 for content in row.psnr_by_content)]
-    rows = [row for row in rows if all(row is not one for one in changed)]
+    of_content = changed_scores(record for row in rows for record in row.records)
+    reasons = [_changed_in_words(row, of_content) for row in rows]
+    changed = [replace(row, unranked=why) for row, why in zip(rows, reasons, strict=True) if why]
+    rows = [row for row, why in zip(rows, reasons, strict=True) if not why]
     by_content: dict[tuple[object, ...], list[BoardRow]] = {}
     for row in rows:
         same: tuple[object, ...] = *row.started, row.content or row.pack.page  # however its options were given
@@ -55,7 +54,7 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
         by_content.setdefault(same, []).append(row)
     wholes = [next((row for row in rows if _is_part(first, row)), None) for first, *_ in by_content.values()]
     rivals = [first for (first, *_), whole in zip(by_content.values(), wholes, strict=True) if whole is None]
-    of_rivals, found = iter(_among_rivals(rivals)), [replace(row, unranked=CHANGED) for row in changed]
+    of_rivals, found = iter(_among_rivals(rivals)), changed
     for twins, whole in zip(by_content.values(), wholes, strict=True):
         if whole is None:
             one, *twins = next(of_rivals), *twins[1:]
@@ -70,6 +69,13 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
             scores = [cell._replace(bold=bold) for cell, bold in zip(row.scores, is_bold, strict=True)]
             found.append(replace(row, **ranks, scores=tuple(scores), twin=why))
     return found
+
+
+def _changed_in_words(row: BoardRow, of_content: Mapping[str, list[str]]) -> str:
+    """Return why a row with changed scores has no rank; empty without any. of_content: from `changed_scores`."""
+    names = dict.fromkeys(name for record in row.records for name in of_content.get(shared_content(record), ()))
+    labels = named(measure_of(name).label for name in names)
+    return f"another pack has other {labels} for the same renders: verify both" if names else ""
 
 
 def _is_part(row: BoardRow, whole: BoardRow) -> bool:

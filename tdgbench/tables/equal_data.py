@@ -1,13 +1,15 @@
-"""Scenes that are one: their test images have equal bytes, so they are no evidence beside each other."""
+"""Equal bytes: scenes that are one, so no evidence beside each other; renders that are one, so of one score."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from tdgbench.cells.folder import TARGETS
+from tdgbench.cells.folder import TARGETS, shared_content
 from tdgbench.cells.record import Record
+from tdgbench.tables.long_table import metric_value
 
 Place = tuple[str, str]  # data set, scene
+EXACT, SMALLEST_CHANGE = ("psnr", "ssim", "mae_degC"), 1e-6  # scores that pictures determine
 
 
 def equal_scenes(records: Iterable[Record]) -> dict[Place, Place]:
@@ -43,3 +45,25 @@ def equal_data_notes(equal: Mapping[Place, Place]) -> list[str]:
         "byte: counts, p and differences have them once; the table's averages have each"
         for (dataset, scene), names in twins.items()
     ]
+
+
+def changed_scores(records: Iterable[Record]) -> dict[str, list[str]]:
+    """Return scores of which equal renders and ground truth have several values, by what they share.
+
+    >>> from functools import partial
+    >>> same = {"hashes": {"model.ply": "0" * 64}, "dataset": "folder", "scene": "a", "seed": 0}
+    >>> of_tdg = partial(Record, "tdg", init="", experiment="", variant="", **same)
+    >>> a, b = (of_tdg(scores={"psnr": dB}) for dB in (30.0, 30.3))
+    >>> list(changed_scores([a, b]).values()), changed_scores([a, a])
+    ([['psnr']], {})
+    """
+    by_content: dict[str, list[Record]] = {}
+    for record in records:
+        by_content.setdefault(shared_content(record), []).append(record)
+    found: dict[str, list[str]] = {}
+    for content, same in by_content.items():
+        for name in EXACT:
+            values = [metric_value(record, name)[0] for record in same]
+            if content and max(values) - min(values) > SMALLEST_CHANGE:  # false where one is n/a
+                found.setdefault(content, []).append(name)
+    return found

@@ -321,13 +321,15 @@ def test_absurd_scores_have_a_site(tmp_path):
     assert (site / "index.html").stat().st_size < MEGABYTE
 
 
-def test_equal_renders_with_another_psnr_have_no_rank(tmp_path):
+@pytest.mark.parametrize(("score", "label", "more"), [("psnr", "PSNR", 0.3), ("ssim", "SSIM", 0.05)])
+def test_equal_renders_with_another_score_have_no_rank(tmp_path, score, label, more):
     packs = []
-    for name, gain in (("a", 0.0), ("b", 0.3)):
+    for name, gain in (("a", 0.0), ("b", more)):
         for method, psnr in (("tdg", 30.0), ("msmg", 25.0)):
             for seed in range(3):
                 hashes = {"model.ply": f"{ord(method[0]) % 16:x}{seed}" * 32}
-                scores = {"psnr": psnr + seed / 10 + gain * (method == "tdg")}
+                scores = {"psnr": psnr + seed / 10, "ssim": 0.9}
+                scores[score] += gain * (method == "tdg")
                 write(tmp_path / name, method, "Shed", "mine", seed=seed, scores=scores, hashes=hashes)
         Plan().write(tmp_path / name)
         packs.append(pack(tmp_path / name, tmp_path / f"{name}.zip", keep_paths=True)[0])
@@ -339,4 +341,4 @@ def test_equal_renders_with_another_psnr_have_no_rank(tmp_path):
         ("–", "TDg", "a.zip"),
         ("–", "TDg", "b.zip"),
     ]
-    assert (folder / "index.html").read_text().count("another pack has other PSNR for the same renders") == 2
+    assert (folder / "index.html").read_text().count(f"another pack has other {label} for the same renders") == 2
