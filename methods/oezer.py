@@ -7,7 +7,7 @@ and order: mert-o/ThermalNeRFs, commit d822bd10.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -31,7 +31,7 @@ from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.field_method import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
 from tdgbench.training.method import Share, Stage, Step
-from tdgbench.training.part import Network, Part
+from tdgbench.training.part import Network, Part, Rate, State
 
 FULL_UPDATES = 16  # of all cells of the occupancy grid; then half of them: renderer.py, `update_extra_state`
 POINTS_OF_RAY = 64  # 2^18 points of a step with 4 096 rays at first: main.py, num_points and num_rays
@@ -94,6 +94,45 @@ class RayCount(Part):
         self.rays = min(max(wanted, 1), self.most)
 
 
+class AveragedNetwork(Network):
+    """A field with its optimiser, and a moving average of its weights, which renders (torch_ema, after each epoch).
+
+    The average has the occupancy grid and the region of the field itself.
+    """
+
+    def __init__(self, field: InstantField, rate: Rate, factor: float, ended: Callable[[int], int]) -> None:
+        """factor: of the average at an epoch, smaller at first. ended: number of epochs that end with an iteration."""
+        super().__init__(field, rate, FieldAdam)
+        self.factor, self.ended, self.epochs = factor, ended, 0
+        self.average = copy.deepcopy(field)
+        self.average.occupancy, self.average.region_numbers = field.occupancy, field.region_numbers
+
+    def step(self, iteration: int) -> str | None:
+        not_finite = super().step(iteration)
+        if ended := self.ended(iteration):
+            self.epochs += ended
+            factor = min(self.factor, (1 + self.epochs) / (10 + self.epochs)) ** ended
+            with torch.no_grad():
+                for average, latest in zip(self.average.parameters(), self.module.parameters(), strict=True):
+                    average.lerp_(latest, 1 - factor)
+        return not_finite
+
+    def state_dict(self) -> State:
+        weights = {name: parameter.detach() for name, parameter in self.average.named_parameters()}
+        return {**super().state_dict(), "average": weights, "epochs": self.epochs}
+
+    def load_state_dict(self, saved: State) -> None:
+        super().load_state_dict(saved)
+        self.average.load_state_dict(saved["module"] | saved["average"])
+        self.epochs = saved["epochs"]
+
+    def rendering_state(self) -> State:
+        return {"module": dict(self.average.state_dict())}
+
+    def load_rendering_state(self, saved: State) -> None:
+        self.average.load_state_dict(saved["module"] | saved.get("average", {}))
+
+
 @dataclass
 class InstantThermal(FieldMethod):
     """L = Σ mean (image − target)² over the modalities; what the four have in common.
@@ -114,8 +153,10 @@ class InstantThermal(FieldMethod):
     initial_density: PositiveFloat  # per radius of the region
     steps: PositiveInt  # samples of a ray before empty cells are left out, × the budget's first number of samples
     update_every: PositiveInt  # iterations between updates of the occupancy grid
+    averaging: Share  # factor of the averaged weights after an epoch
+    epochs: PositiveInt  # in all iterations
 
-    def begin(self, context: Context, outputs: Mapping[str, Output], whole: int) -> Network:
+    def begin(self, context: Context, outputs: Mapping[str, Output], whole: int) -> None:
         """Make the field of a stage and the parts around it; whole: iterations of all stages."""
         size, generator = self.begin_field(context), torch.Generator().manual_seed(context.seed)
         options = GridOptions(
@@ -136,9 +177,14 @@ class InstantThermal(FieldMethod):
         occupancy = OccupancyGrid(2 ** ((size.log2_rows + 2) // 3))  # 128 of an axis with their tables of 2^19
         self.field = InstantField(density, occupancy, heads, self.steps * size.samples[0]).to(context.device)
         self.rate = falling(self.rates, max(1, round(self.rate_end * whole)))
-        part = context.add_part("field", Network(self.field, self.rate, FieldAdam))
+        self.whole = whole
+        ended = lambda iteration: self.epochs_ended(iteration)  # noqa: E731 - a copy of the part shares it
+        self.part = context.add_part("field", AveragedNetwork(self.field, self.rate, self.averaging, ended))
         self.begin_batches(context, outputs)
-        return part
+
+    def epochs_ended(self, iteration: int) -> int:
+        """Return how many epochs end with an iteration of all stages."""
+        return iteration * self.epochs // self.whole - (iteration - 1) * self.epochs // self.whole
 
     def begin_batches(self, context: Context, outputs: Mapping[str, Output]) -> None:
         """Make what a stage draws rays and places by."""
@@ -161,7 +207,7 @@ class InstantThermal(FieldMethod):
         return Step(sum(terms.values()), terms, render, batch.pixels[modality][:, None])
 
     def rendered(self, rays: Rays, modality: str) -> Rendered:
-        shown: Rendered = self.field(rays, {modality: self.outputs[modality]})
+        shown: Rendered = self.part.average(rays, {modality: self.outputs[modality]})
         return shown
 
     def values_at(self, positions: Tensor) -> Tensor:
@@ -225,17 +271,18 @@ class FineTune(InstantThermal):
 
     def _set_up_rgb(self, context: Context) -> None:
         self.before = context.budget.schedule_length
-        self.part = self.begin(context, {"rgb": Output("image", 0, 3)}, round(self.before / self.rgb_share))
-        self.rgb_field, self.channels = self.field, context.scene.channels
+        self.begin(context, {"rgb": Output("image", 0, 3)}, round(self.before / self.rgb_share))
+        self.rgb_field, self.channels = self.part.average, context.scene.channels
 
     def _set_up_thermal(self, context: Context) -> None:
-        part = context.add_part("field", copy.deepcopy(self.part))
-        part.rate = lambda iteration: self.rate(self.before + iteration)
-        self.field = part.module
+        self.part = context.add_part("field", copy.deepcopy(self.part))
+        self.part.rate = lambda iteration: self.rate(self.before + iteration)
+        self.part.ended = lambda iteration: self.epochs_ended(self.before + iteration)
+        self.field = self.part.module
         self.begin_batches(context, {"thermal": Output("image", 0, 3)})
 
     def rendered(self, rays: Rays, modality: str) -> Rendered:
-        field = self.rgb_field if modality == "rgb" else self.field
+        field = self.rgb_field if modality == "rgb" else self.part.average
         shown: Rendered = field(rays, {modality: Output("image", 0, 3)})
         if modality == "thermal" and self.channels == 1:
             shown.images[modality] = shown.images[modality].mean(dim=1, keepdim=True)

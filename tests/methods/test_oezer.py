@@ -24,7 +24,7 @@ def trainers(small_gray_scene):
     """Each strategy after a short training, by name."""
     trainers = {}
     for name in ("oezer_scratch", *JOINT, "oezer_finetune"):
-        trainers[name] = ready_to_train(small_gray_scene, name, 300 if name == "oezer_finetune" else 150, *SIZE)
+        trainers[name] = ready_to_train(small_gray_scene, name, 300 if name == "oezer_finetune" else 200, *SIZE)
         trainers[name].log = train(trainers[name])
     return trainers
 
@@ -146,7 +146,8 @@ def test_fine_tuning_goes_on_with_network_optimiser_and_rate(small_gray_scene):
     assert trainer.method.rate(1) == pytest.approx(1e-2) and first == later == pytest.approx(1e-3)
     assert 0 < (after - before).abs().max() < 0.02
     method = trainer.method
-    assert torch.equal(method.rgb_field.density.grid.table, before)
+    assert torch.equal(trainer.all_parts()["rgb/field"].module.density.grid.table, before)
+    assert method.rgb_field is trainer.all_parts()["rgb/field"].average
     assert trainer.stages[0].share == pytest.approx(0.6) and set(trainer.all_parts()) >= {"field", "rgb/field"}
 
 
@@ -173,6 +174,35 @@ def test_rays_adapt_to_the_occupied_samples():
     assert count.rays == MOST_RAYS * 100
     count.note(10**9)
     assert count.rays == 1
+
+
+@pytest.mark.parametrize(("name", "epochs"), [("oezer_scratch", 20), ("oezer_scratch", 100), ("oezer_finetune", 20)])
+def test_images_are_of_averaged_weights(small_gray_scene, name, epochs):
+    """Against a moving average of the tables after each epoch, in float64, by torch_ema's formula."""
+    trainer, tables = ready_to_train(small_gray_scene, name, 50, *SIZE, f"method.method.epochs={epochs}"), []
+
+    def note(log=None):
+        tables.append(trainer.method.field.density.grid.table.detach().double().clone())
+
+    note()
+    train(trainer, after_iteration=note)
+    average, ended = tables[0], 0
+    last_of_stages = (30, 50) if name == "oezer_finetune" else (50,)  # they make no step
+    for iteration, table in enumerate(tables):
+        more = iteration * epochs // 50 - (iteration - 1) * epochs // 50
+        if iteration and iteration not in last_of_stages and more:
+            ended += more
+            factor = min(0.95, (1 + ended) / (10 + ended)) ** more
+            average = factor * average + (1 - factor) * table
+    part = trainer.parts["field"]
+    assert part.epochs == ended >= 0.9 * epochs
+    assert torch.allclose(part.average.density.grid.table.double(), average, atol=1e-7)
+    rays, shown = rays_of(trainer)[0], []
+    for field in (part.average, trainer.method.field):
+        shown.append(field(rays, trainer.method.outputs).images["thermal"])
+    assert not torch.allclose(*shown)
+    if name == "oezer_scratch":
+        assert torch.equal(trainer.method.rendered(rays, "thermal").images["thermal"], shown[0])
 
 
 def test_pieces_change_no_image(trainers, small_gray_scene):
