@@ -32,13 +32,18 @@ SOURCES: dict[PriorSource, Source] = {
     "files": Source("files of unknown origin", in_report="; no evidence for thermal images alone", counts=False),
 }  # fmt: skip
 UNKNOWN = Source("an unknown source", counts=False)
+BUILT_IN_POINTS = SOURCES[POINTS]._replace(remark="in this built-in scene drawn from true depth, with noise")
 
 
-def source_of(made_from: str) -> Source:
+def source_of(made_from: str, is_built_in: bool = False) -> Source:
     """Return the source that a record states; one without a prior, or of an early version, states none.
+
+    is_built_in: whether it is the record of a built-in scene, whose points are not COLMAP's.
 
     >>> source_of("truth").words, source_of("").counts, source_of("dreams").counts
     ('true depth', True, False)
     """
+    if is_built_in and made_from == POINTS:
+        return BUILT_IN_POINTS
     known = (source for name, source in SOURCES.items() if name == made_from)
     return next(known, UNKNOWN if made_from else Source())

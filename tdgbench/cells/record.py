@@ -202,7 +202,7 @@ class Record:
     @property
     def prior_source(self) -> Source:
         """What that means for its scores."""
-        return source_of(self.prior_made_from)
+        return source_of(self.prior_made_from, self.is_of_built_in_scene)
 
     def setting(self, name: str) -> Any:
         """Return the value of a setting by its dotted name; None if the record has none.

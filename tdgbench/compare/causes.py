@@ -100,7 +100,8 @@ def find_causes(pairs: Pairs) -> list[Cause]:
         for key, counts in found.items()
     ]
     kinds = list(KINDS)
-    return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells))
+    first = "prior.made_from"  # what it changes needs the other options of a prior
+    return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells, cause.name != first))
 
 
 def _is_newer(name: str, lacking: Mapping[tuple[str, str], str]) -> bool:

@@ -22,7 +22,7 @@ from tdgbench.tables import methods
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
 from tdgbench.tables.columns import own_columns
-from tdgbench.tables.equal_data import changed_scores
+from tdgbench.tables.findings import given_priors
 from tdgbench.tables.measures import RecordMeasure, measure_of
 from tdgbench.tables.results import Results, read_results
 from tdgbench.tables.setup_notes import setup_by_name
@@ -85,7 +85,7 @@ def _compare(a: Results, b: Results, names: tuple[str, str], out: Path | None) -
         write_page(out / "compare.html", names, findings, table, causes, pairs, otherwise)
         say(f"{out / 'compare.csv'}, {out / 'compare.html'}")
     differs = table["verdict"].isin(["better", "worse"]).any()
-    return int(differs or table["reason"].str.startswith(TWO_PROTOCOLS).any())
+    return int(differs or table["reason"].str.startswith((TWO_PROTOCOLS, compared.CHANGED)).any())
 
 
 def _read(experiment: Path) -> Results:
@@ -111,6 +111,10 @@ def assumed_in_words(differences: Sequence[AssumedDifference]) -> list[str]:
 def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> list[str]:
     """Return what a comparison found, one sentence each: verdicts, what differs, cells of one experiment alone."""
     found = []
+    if len(changed := table.loc[table["reason"] == compared.CHANGED, "metric"].unique()):
+        labels = named(measure_of(name).label for name in changed)
+        found.append(f"a record was changed: renders, ground truth and protocol are equal, {labels} not; run tdgbench "
+                     "verify on both")  # fmt: skip
     is_score = [not isinstance(measure_of(name), RecordMeasure) for name in table["metric"]]
     of_scores = table.loc[is_score, "verdict"]
     sentences = compared.verdicts(table, pairs)
@@ -138,16 +142,11 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
         some = "" if once == len(pairs) else f" in {once} of {len(pairs)} cells"
         found.append(f"{ONE_TRAINING}{some}: models, renders and logs of A and B are equal (scored again, or copied), "
                      "so there is no repeat and no second time")  # fmt: skip
-    changed_pairs = (changed_scores(cell.record for cell in pair) for pair in pairs)
-    names = dict.fromkeys(name for found in changed_pairs for scores in found.values() for name in scores)
-    if changed := [name for name in names if not any(name in cause.scores for cause in causes)]:
-        labels = named(measure_of(name).label for name in changed)
-        found.append(f"a record was changed: renders, ground truth and protocol are equal, {labels} not; run tdgbench "
-                     "verify on both")  # fmt: skip
     if why := why_no_times(causes):
         found.append(f"times do not compare: {why}")
     elif any(map(is_of_times, causes)):
-        found.append("their machines or threads differ, which may be why their times do")
+        settings = in_brief(cause for cause in causes if is_of_times(cause))
+        found.append(f"times may differ because of the machine's settings: {settings}")
     kinds = []
     for kind in KINDS:
         of_kind = [cause for cause in causes if cause.kind == kind]
@@ -158,6 +157,9 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     of_both = [setup_by_name([getattr(pair, side).record for pair in pairs], timed=True) for side in ("a", "b")]
     shared = [f"{name}: {value}" for name, value in of_both[0].items() if of_both[1].get(name) == value]
     found += [f"the same in both, of the cells that are compared: {'; '.join(shared)}"] * bool(shared)
+    trained = [cell.record for pair in pairs for cell in pair]
+    found += given_priors(trained)
+    found += ["built-in scenes: no evidence on the paper's claims"] * all(one.is_of_built_in_scene for one in trained)
     found.append("not checked here: whether the stored ground truth is the data's (tdgbench verify)")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
         if alone:

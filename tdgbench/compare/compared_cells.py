@@ -19,6 +19,7 @@ from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
 from tdgbench.tables.comparisons import margins_in_words
+from tdgbench.tables.equal_data import changed_scores
 from tdgbench.tables.likeness import was_disturbed
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import COLUMNS as OF_TABLES
@@ -31,6 +32,7 @@ FIRST = (*OF_TABLES, GAUSSIANS.name)  # numbers that are shown first
 IDENTICAL, EQUIVALENT, NOT_COMPARED = "identical", "equivalent", "not compared"
 TWO_PROTOCOLS = "two protocols"  # begins the reason
 ONE_TRAINING = "nothing was trained twice"
+CHANGED = "a record was changed: of equal renders and ground truth"  # and protocol
 SMALLEST = 1e-4  # spread that is printed
 COLUMNS = [
     *PLACE, "metric", "seeds", "of_seeds", "a", "b", "difference", "ci90_low", "ci90_high", "margin", "verdict",
@@ -96,7 +98,10 @@ def _why_not_compared(metric: str, place: Place, by_seed: Mapping[int, ComparedC
         is_busy = any(was_disturbed(cell.record) for pair in by_seed.values() for cell in pair)
         return "times of a busy machine" if is_busy else why_no_times(c for c in causes if place in c.places)
     unlike = [cause.change for cause in causes if place in cause.places and metric in cause.scores]
-    return f"{TWO_PROTOCOLS} ({'; '.join(unlike)})" if unlike else ""
+    if unlike:
+        return f"{TWO_PROTOCOLS} ({'; '.join(unlike)})"
+    changed = (scores for pair in by_seed.values() for scores in changed_scores(cell.record for cell in pair).values())
+    return CHANGED if any(metric in scores for scores in changed) else ""
 
 
 def _values(pair: ComparedCell, metric: str) -> list[float]:

@@ -73,6 +73,12 @@ def _prior(record: Record) -> str:
     return f"{record.prior.get('estimator', 'unknown')}{f' ({model})' if model else ''}{made}"
 
 
+def _initial_points(record: Record) -> str:
+    made = "; in this built-in scene drawn from true depth, with noise"
+    is_made = record.is_of_built_in_scene and record.init_points.get("kind") == "colmap"
+    return f"{record.init}: {record.init_points.get('how', NOT_STATED)}{made * is_made}"
+
+
 def _views(record: Record) -> str:
     views = " and ".join(f"{number} {name}" for name, number in record.views.items())
     return f"{views or NOT_STATED}; split {record.split or 'n/a'}: {SPLITS.get(record.split, record.split or 'n/a')}"
@@ -86,7 +92,7 @@ def _lpips(record: Record) -> str:
 FACTS: dict[str, Fact] = {
     "image sizes": lambda record: record.assumed.get("size", NOT_STATED),
     "views": _views,
-    "initial points": lambda record: f"{record.init}: {record.init_points.get('how', NOT_STATED)}",
+    "initial points": _initial_points,
     "depth prior": _prior,
     "LPIPS network": _lpips,
     "protocol": lambda record: f"{record.protocol or 'n/a'}, metrics as {record.convention or 'n/a'}",

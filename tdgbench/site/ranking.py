@@ -40,12 +40,11 @@ def ranked(rows: Iterable[BoardRow]) -> list[BoardRow]:
 def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
     """Rank rivals; one that holds the cells of another pack has its rank, one that holds some of them has none.
 
-    Rows of equal renders whose scores differ have no rank: somebody changed a record.
+    None is ranked where equal renders have unlike scores: somebody changed a record.
     """
     of_content = changed_scores(record for row in rows for record in row.records)
-    reasons = [_changed_in_words(row, of_content) for row in rows]
-    changed = [replace(row, unranked=why) for row, why in zip(rows, reasons, strict=True) if why]
-    rows = [row for row, why in zip(rows, reasons, strict=True) if not why]
+    if why := " and ".join(dict.fromkeys(filter(None, (_changed_in_words(row, of_content) for row in rows)))):
+        return [replace(row, unranked=why, is_unlike=True) for row in rows]
     by_content: dict[tuple[object, ...], list[BoardRow]] = {}
     for row in rows:
         same: tuple[object, ...] = *row.started, row.content or row.pack.page  # however its options were given
@@ -54,7 +53,7 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
         by_content.setdefault(same, []).append(row)
     wholes = [next((row for row in rows if _is_part(first, row)), None) for first, *_ in by_content.values()]
     rivals = [first for (first, *_), whole in zip(by_content.values(), wholes, strict=True) if whole is None]
-    of_rivals, found = iter(_among_rivals(rivals)), changed
+    of_rivals, found = iter(_among_rivals(rivals)), list[BoardRow]()
     for twins, whole in zip(by_content.values(), wholes, strict=True):
         if whole is None:
             one, *twins = next(of_rivals), *twins[1:]
@@ -72,10 +71,10 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
 
 
 def _changed_in_words(row: BoardRow, of_content: Mapping[str, list[str]]) -> str:
-    """Return why a row with changed scores has no rank; empty without any. of_content: from `changed_scores`."""
+    """Return which scores of a row were changed, in words; empty if none. of_content: from `changed_scores`."""
     names = dict.fromkeys(name for record in row.records for name in of_content.get(shared_content(record), ()))
     labels = named(measure_of(name).label for name in names)
-    return f"another pack has other {labels} for the same renders: verify both" if names else ""
+    return f"packs have unlike {labels} for equal renders of {row.label}: verify them" if names else ""
 
 
 def _is_part(row: BoardRow, whole: BoardRow) -> bool:

@@ -53,6 +53,7 @@ from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import AVERAGE, HOURS, as_text, measure_of
 from tdgbench.tables.overrides import training_in_words
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
+from tdgbench.tables.published_setup import BUDGET
 from tdgbench.tables.results import Cell
 from tdgbench.terminal import errors_in_one_line, say
 
@@ -244,6 +245,11 @@ def _caveats(rows: Sequence[BoardRow]) -> list[str]:
             given.setdefault(record.prior_source.in_full, {})[row.pack.label(row.method)] = None
     are_built_in = all(record.is_of_built_in_scene for row in rows for record in row.records)
     found = ["Built-in scenes: no evidence on the paper."] if are_built_in else []
+    trained = [record for row in rows for record in row.records if record.made_elsewhere is None]
+    named = [record.setting("budget.name") for record in trained]
+    if others := sorted({f"budget {name}" for name in named if isinstance(name, str)} - {BUDGET}):
+        found.append(f"With {joined(others)}, lengths and rules of growth, resets and rates are tdgbench's own, "
+                     f"for all methods; the authors' are those of {BUDGET}.")  # fmt: skip
     if all(ended_by_its_budget(record) for row in rows for record in row.records):
         found.append(f"{BEFORE_A_PLATEAU}.")
     timed = [row for row in rows if not isnan(row.scores[SCORES.index(HOURS.name)].value)]

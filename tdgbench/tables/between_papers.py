@@ -73,7 +73,7 @@ def gain_against_spread(main: pd.DataFrame, metrics: list[str]) -> str:
     compared.
     """
     spreads = between_papers()
-    sentences = []
+    sentences, notes = list[str](), list[str]()
     for metric in metrics:
         group = spreads[(spreads["method"] == paper_pair().baseline) & (spreads["metric"] == metric)]
         gains, places = _gains(main, metric), group.loc[group["scene"] != SHARED, "scene"]
@@ -88,9 +88,12 @@ def gain_against_spread(main: pd.DataFrame, metrics: list[str]) -> str:
         compared = "equal to" if np.isclose(mean, shared.spread) else larger
         sentences.append(
             f"the gain in {measure_of(metric).label} is {total}; over the {shared.scenes} scenes that papers share it "
-            f"is {there}, {compared} the {spread} by which papers' averages of {label(paper_pair().baseline)} differ"
+            f"is {there}, {compared} the {spread} by which {shared.papers} papers' averages of "
+            f"{label(paper_pair().baseline)} differ"
         )
-    return "; ".join(sentences)
+        notes += [shared.note.partition(". ")[0]] * bool(shared.note)
+    unsure = (f"not sure to be {label(paper_pair().baseline)}: {note}" for note in dict.fromkeys(notes))
+    return "; ".join((*sentences, *unsure))
 
 
 def check_averages(table: pd.DataFrame) -> pd.DataFrame:

@@ -8,7 +8,7 @@ excludes 0, though it may reach inside the margin. Anything else is `undecided`;
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -28,6 +28,7 @@ from tdgbench.tables.verdicts import BETTER, NEVER, UNDECIDED, WORSE, load_margi
 EQUAL = "equal"  # beside the verdicts on published numbers
 COUNTED = (BETTER, WORSE, EQUAL, UNDECIDED)
 FEWEST_SEEDS = 3  # of bold type; of two, an interval is 13 standard errors wide on each side
+OPEN = "whether by more than the margin is undecided"  # reason beside a verdict
 CHANGE_IS = {False: "difference", True: "ratio"}
 FEWEST_SCENES = 5  # of a test over scenes: with fewer, no outcome could be below 5 %
 
@@ -67,12 +68,18 @@ class MethodComparison(NamedTuple):
     """A method against its baseline. paired: from `paired_tests`.
 
     changes: KEYS but method, fields of Change with what `change` is, a reason where there is no common seed and the
-    verdict is n/a, and `image_values` of the method.
+    verdict is n/a, or where a sure change may lie within the margin, and `image_values` of the method.
     """
 
     pair: MethodPair
     changes: pd.DataFrame
     paired: pd.DataFrame
+
+
+def may_be_within_margin(change: Any) -> bool:
+    """Return whether a change has a sign for certain, but may lie within the margin. change: a row of `changes`."""
+    is_sure = change.verdict in (BETTER, WORSE)
+    return is_sure and min(abs(change.ci95_low), abs(change.ci95_high)) < margin_of(change.metric)
 
 
 def margin_of(metric: str) -> float:
@@ -175,6 +182,7 @@ def _compare(pair: MethodPair, cells: pd.DataFrame, main: pd.DataFrame, finished
     for row, place in zip(changes.index[is_none], new.index[is_none], strict=True):  # averages come after their scenes
         changes.loc[row, "reason"] = _why_none(pair, place, reasons, unlike, changes)
     changes.loc[is_none, "verdict"] = NEVER
+    changes.loc[[may_be_within_margin(row) for row in changes.itertuples()], "reason"] = OPEN
     return MethodComparison(pair, changes, paired_tests(changes, main[main["method"].isin(pair)]))
 
 

@@ -16,7 +16,7 @@ from tdgbench.scenes.registry import DATASETS, is_built_in
 from tdgbench.tables import methods
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, THE_PAPER, JudgedClaim
 from tdgbench.tables.claims.evidence import UNDECIDED as UNDECIDED_CLAIM
-from tdgbench.tables.comparisons import COUNTED, EQUAL, MethodComparison, margin_of
+from tdgbench.tables.comparisons import COUNTED, EQUAL, MethodComparison, margin_of, may_be_within_margin
 from tdgbench.tables.equal_data import Place, equal_data_notes
 from tdgbench.tables.grids import ERROR
 from tdgbench.tables.likeness import TRAINING_KIND, is_selected, times_at_once
@@ -273,12 +273,7 @@ def _counts(paired: pd.DataFrame, scenes: pd.DataFrame) -> str:
 
 def _verdict_word(row: Any) -> str:
     """Return a change's verdict; of one that may lie within the margin, that its size is open."""
-    return f"{row.verdict}, by how much is open," if _may_be_within_margin(row) else str(row.verdict)
-
-
-def _may_be_within_margin(row: Any) -> bool:
-    is_sure = row.verdict not in (EQUAL, UNDECIDED)
-    return is_sure and min(abs(row.ci95_low), abs(row.ci95_high)) < margin_of(row.metric)
+    return f"{row.verdict}, by how much is open," if may_be_within_margin(row) else str(row.verdict)
 
 
 def _change(row: Any) -> str:
@@ -293,7 +288,7 @@ def _change(row: Any) -> str:
     verdict, margin, stated = row.verdict, margin_of(row.metric), f"{margin_of(row.metric):g}{measure.suffix}"
     if verdict == EQUAL:
         verdict += f" within {stated}" * (margin > 0)
-    elif _may_be_within_margin(row):
+    elif may_be_within_margin(row):
         verdict = f"{'higher' if row.change > 0 else 'lower'}, whether by more than {stated} is undecided"
     return f"{text}{with_interval(change, row.ci95_low, row.ci95_high, form)}: {verdict}"
 
@@ -316,7 +311,9 @@ def _certainty(place: pd.DataFrame, main: pd.DataFrame) -> list[str]:
     shared += ", not over scenes" if _is_average(place).any() else ""
     has_any = any(map(_has_interval, place.itertuples()))
     counts = sorted({int(row.seeds) for row in place.itertuples() if _has_interval(row)})
-    return [f"in brackets: 95 % intervals over {' or '.join(map(str, counts))} seeds{shared}"] if has_any else []
+    times = "; those of times leave out what a repeated run changes" * (HOURS.name in set(place["metric"]))
+    over = f"{' or '.join(map(str, counts))} seeds{shared}{times}"
+    return [f"in brackets: 95 % intervals over {over}"] if has_any else []
 
 
 def _published_time(pair: methods.MethodPair, scenes: pd.DataFrame) -> list[str]:

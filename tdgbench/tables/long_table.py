@@ -114,8 +114,13 @@ def cell_rows(
 
 def scene_rows(cells: pd.DataFrame) -> pd.DataFrame:
     """Return rows (KEYS, value, reason): means over the seeds of `cell_rows`; n/a if any seed lacks the number."""
-    first_reason = cells[cells["reason"] != ""].groupby(KEYS, sort=False)["reason"].first()
-    return means(cells, KEYS).join(first_reason).fillna({"reason": ""}).reset_index()
+    lacking = cells["reason"] != ""
+    groups = cells.assign(lacking=lacking, reason=cells["reason"].where(lacking)).groupby(KEYS, sort=False)
+    found = groups.agg(reason=("reason", "first"), lacking=("lacking", "sum"), seeds=("lacking", "size"))
+    is_some = (found["lacking"] > 0) & (found["lacking"] < found["seeds"])
+    some = "in " + found["lacking"].astype(str) + " of " + found["seeds"].astype(str) + " seeds " + found["reason"]
+    reasons = found["reason"].where(~is_some, some).fillna("")
+    return means(cells, KEYS).join(reasons).reset_index()
 
 
 def means(rows: pd.DataFrame, over: list[str], columns: Sequence[Hashable] = ("value",)) -> pd.DataFrame:

@@ -37,7 +37,7 @@ HOURS = RecordMeasure(
     in_main_table=True, of_record=lambda record: record.seconds.get("train", nan) / 3600,
 )  # fmt: skip
 GAUSSIANS = RecordMeasure(
-    name="gaussians", label="Gaussians", meaning="Gaussians at the end", digits=0, ratio=True,
+    name="gaussians", label="Gaussians", meaning="Gaussians at the end, of all models", digits=0, ratio=True,
     of_record=lambda record: float(sum(record.gaussians.values()) or nan),
 )  # fmt: skip
 PARAMETERS = RecordMeasure(

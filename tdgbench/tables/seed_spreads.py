@@ -61,7 +61,7 @@ def usual_spread(main: pd.DataFrame) -> str:
     if rows["std"].notna().any():
         return f"a method's standard deviation over seeds here on {where} is up to {rows['std'].max():.2g} dB PSNR"
     known = [spreads.psnr[p] for p in scenes.agg("/".join, axis=1) if p in spreads.psnr]
-    where, largest = (where, max(known)) if known else ("other scenes", spreads.largest["psnr"])
+    where, largest = (where, max(known)) if known else ("this or other scenes", spreads.largest["psnr"])
     return (
         f"the largest standard deviation over seeds that was measured on {where} from COLMAP points, of some method "
         f"and budget, is {largest:g} dB PSNR ({spreads.source})"

@@ -9,10 +9,11 @@ experiments together.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
+from tdgbench.cells.record import Record
 from tdgbench.files import content_of, write_text
 from tdgbench.scoring.backbones import SPECS
 from tdgbench.tables.as_csv import as_csv
@@ -26,7 +27,7 @@ from tdgbench.tables.results import read_results
 from tdgbench.tables.sensitivity import Weights, sensitivity
 from tdgbench.tables.show import show_claims, show_problems, show_sensitivity, show_tables
 from tdgbench.terminal import errors_in_one_line, say, show_findings
-from tdgbench.text import one_line
+from tdgbench.text import first_few, one_line
 
 
 def main(arguments: list[str]) -> int:
@@ -86,9 +87,18 @@ def _sensitivity(experiment: Path, weights: Weights) -> int:
     write_text(results.tables / "sensitivity.csv", as_csv(table, na_rep="n/a"))
     show_problems(results.problems)
     show_sensitivity(table)
+    say(one_line(_what_is_of([cell.record for cell in cells], experiment.resolve().name)))
     for note in palette_notes(table):
         say(note)
     return int(bool(results.problems))
+
+
+def _what_is_of(records: Sequence[Record], name: str) -> str:
+    """Return of what changes are, in words: other scenes, or images of other channels, may change otherwise."""
+    scenes = list(dict.fromkeys(record.scene for record in records))
+    channels = " or ".join(map(str, sorted({record.channels for record in records})))
+    built_in = ", built in" * all(record.is_of_built_in_scene for record in records)
+    return f"of {name}: {len(records)} cells of {first_few(scenes)}{built_in}; images of {channels} channels"
 
 
 def _claims(experiments: list[Path]) -> int:

@@ -13,7 +13,7 @@ from tdgbench.cells.protocol import protocol_settings
 from tdgbench.cells.record import read_record
 from tdgbench.compare.causes import ADDED, MACHINE, PROTOCOL, TRAINING, VERSION, find_causes, settings
 from tdgbench.compare.compare_command import main
-from tdgbench.compare.compared_cells import score_table
+from tdgbench.compare.compared_cells import CHANGED, score_table
 from tdgbench.compare.pairs import find_pairs
 from tdgbench.tables.results import read_results
 from tests.helpers.html_page import HtmlPage
@@ -116,7 +116,7 @@ def test_what_differs_is_told_by_what_it_decides(tmp_path):
         ),
         (
             {"code": "new", "environment": {"cells_at_once": 2}},
-            "their machines or threads differ, which may be why their ",
+            "times may differ because of the machine's settings: cells_at_once not recorded → 2",
         ),
     ],
 )
@@ -140,12 +140,15 @@ def test_times_of_a_busy_machine_or_of_unlike_trainings_have_no_difference(tmp_p
 
 
 def test_another_psnr_of_equal_renders_is_a_changed_record(tmp_path, capsys):
-    for name, psnr in (("a", 20.0), ("b", 20.3)):
-        write(tmp_path / name, scores={"psnr": psnr}, hashes={"model.ply": "ab" * 32, "renders/1.png": "cd" * 32})
-    main([str(tmp_path / "a"), str(tmp_path / "b")])
-    assert (
-        "found: a record was changed: renders, ground truth and protocol are equal, PSNR not" in capsys.readouterr().out
-    )
+    for name, gain in (("a", 0.0), ("b", 0.3)):
+        for seed in range(3):
+            hashes = {"model.ply": f"{seed}" * 64, "renders/1.png": "cd" * 32}
+            write(tmp_path / name, seed=seed, scores={"psnr": 20.0 + seed / 10 + gain}, hashes=hashes)
+    assert main([str(tmp_path / "a"), str(tmp_path / "b")]) == 1
+    first = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("found: "))
+    assert first.startswith("found: a record was changed: renders, ground truth and protocol are equal, PSNR not")
+    row = rows_of(tmp_path / "a", tmp_path / "b").loc["psnr"]
+    assert (row["verdict"], row["reason"]) == ("not compared", CHANGED) and np.isnan(row["difference"])
 
 
 def test_an_option_of_the_budget_that_a_version_lacks_is_no_other_training(tmp_path):

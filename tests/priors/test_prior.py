@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tdgbench.cells.prior_sources import SOURCES, PriorSource
+from tdgbench.cells.record import Record
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
 from tdgbench.priors.prior import offers
 from tests.helpers.configs import config
@@ -149,3 +150,9 @@ def test_an_estimator_without_a_finite_value_is_named_and_not_cached(small_scene
     with pytest.raises(PriorError, match="the depth prior of view view001 has no finite value"):
         estimate_all(Broken(), small_scene, tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_points_of_built_in_scenes_are_not_of_colmap():
+    for dataset, remark in (("synthetic", "drawn from true depth"), ("folder", "COLMAP mostly finds them")):
+        record = Record("tdg", dataset, "orbit", "colmap", 0, "a", "", prior={"made_from": "points"})
+        assert remark in record.prior_source.in_full and not record.prior_source.counts

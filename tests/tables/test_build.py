@@ -185,3 +185,12 @@ def test_seeds_are_averaged_and_variants_kept_apart(tmp_path):
     write(tmp_path, scene="orbit", dataset="synthetic", init="random", scores={"psnr": 5.0})
     rows = build_tables(tmp_path).main.query("scene == 'orbit' and metric == 'psnr'").set_index("method")["value"]
     assert rows.to_dict() == {"tdg": 21.0, "tdg (random)": 5.0, "tdg [budget=demo]": 10.0}
+
+
+def test_seeds_without_a_number_are_counted(tmp_path):
+    for seed, psnr in enumerate((20.0, 21.0, None)):
+        missing = {} if psnr else {"psnr_barely_seen": "no pixel is barely seen"}
+        write(tmp_path, seed=seed, scores={"psnr_barely_seen": psnr}, missing=missing)
+    main = build_tables(tmp_path).main.set_index(["scene", "method", "metric"])
+    row = main.loc[("Truck", "tdg", "psnr_barely_seen")]
+    assert np.isnan(row["value"]) and row["reason"] == "in 1 of 3 seeds no pixel is barely seen"

@@ -119,7 +119,7 @@ def better_mostly(claim: Claim, evidence: ClaimEvidence) -> Finding:
     better, open_ = [gain.metric for gain in gains if gain.low > 0], _open(gains)
     by_metric = ", ".join(f"{_label(metric)} {better.count(metric)}" for metric in claim.metrics)
     word = "equal" if evidence.printed else "undecided"
-    grounds = f"better in {len(better)} of {len(gains)} scenes × metrics, {word} in {open_} ({by_metric})"
+    grounds = f"better by any amount in {len(better)} of {len(gains)} scenes × metrics, {word} in {open_} ({by_metric})"
     possibly = sum(gain.high > 0 for gain in gains) > len(gains) / 2
     return Finding.decided(len(better) > len(gains) / 2, possibly, grounds)
 
