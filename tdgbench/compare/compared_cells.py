@@ -20,6 +20,7 @@ from tdgbench.scoring.metric import Measure
 from tdgbench.tables import methods
 from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.equal_data import changed_scores
+from tdgbench.tables.grids import GAUSSIANS_NOTE
 from tdgbench.tables.likeness import was_disturbed
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import COLUMNS as OF_TABLES
@@ -155,7 +156,7 @@ def legend(table: pd.DataFrame) -> list[str]:
     spreads = {"repeat_std": "std of a repeat: of a cell trained again with the same seed",
                "seed_std": "std over seeds: mean of A's and B's"}  # fmt: skip
     shown = "; ".join(text for name, text in spreads.items() if table[name].notna().any())
-    return [*lines, shown] if shown else lines
+    return [*lines, *filter(None, [shown]), *([GAUSSIANS_NOTE] if GAUSSIANS.name in set(table["metric"]) else [])]
 
 
 def place_heads(table: pd.DataFrame) -> list[str]:
