@@ -185,6 +185,11 @@ class Record:
         return is_built_in(self.dataset) or ORIGIN in self.assumed
 
     @property
+    def has_made_up_points(self) -> bool:
+        """Whether its initial points are the sparse points of a built-in scene, which COLMAP did not find."""
+        return self.is_of_built_in_scene and self.init_points.get("kind") == "colmap"
+
+    @property
     def scene_files(self) -> str:
         """Fingerprint of the scene's files."""
         return self.data.partition("-")[0]

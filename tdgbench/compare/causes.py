@@ -43,6 +43,7 @@ class Cause(NamedTuple):
     values: tuple[str, str]
     cells: int
     places: frozenset[Place]
+    alike: int  # pairs in which it differs by just these values
 
     @property
     def change(self) -> str:
@@ -53,7 +54,12 @@ class Cause(NamedTuple):
     def brief(self) -> str:
         """The change, `iterations 3000 → 1200`; of hashes and long values the name."""
         is_short = self.name != "code" and max(map(len, self.values)) <= LONGEST
-        return f"{self.name} {' → '.join(self.values)}" if is_short else self.name
+        return f"{self.name} {' → '.join(self.values)}" if is_short and not self.varies else self.name
+
+    @property
+    def varies(self) -> bool:
+        """Whether it differs in several ways, so that its values are those of some pairs."""
+        return self.alike < self.cells
 
     @property
     def scores(self) -> Collection[str]:
@@ -75,6 +81,8 @@ class Cause(NamedTuple):
     def sentence(self, pairs: int) -> str:
         """Return the change, which scores it decides, and in how many of the pairs it is if not in all."""
         some = "" if self.cells == pairs else f" (in {self.cells} of {pairs} cells)"
+        if self.varies:
+            some = f" (so in {self.alike} of {self.cells} cells that differ, otherwise in the others)"
         return f"{self.change}{f' ({self.scope})' if self.scope else ''}{some}"
 
 
@@ -96,7 +104,7 @@ def find_causes(pairs: Pairs) -> list[Cause]:
                 found.setdefault(key, Counter())[mine, theirs] += 1
                 places.setdefault(key, set()).add(place_of(pair.a.record))
     causes = [
-        Cause(*key, counts.most_common(1)[0][0], counts.total(), frozenset(places[key]))
+        Cause(*key, counts.most_common(1)[0][0], counts.total(), frozenset(places[key]), counts.most_common(1)[0][1])
         for key, counts in found.items()
     ]
     kinds = list(KINDS)

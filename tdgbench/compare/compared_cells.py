@@ -272,8 +272,10 @@ def _verdicts_of(measure: Measure, group: pd.DataFrame, pairs: Pairs, places: st
         found = _difference(np.diff(values).mean(axis=(0, 2))) if common else Difference(compared["difference"].mean())
         text += f"; B − A {difference_as_text(measure.name, found.mean)}{measure.suffix}"
         text += " on average" if len(compared) > 1 else ""
+        if any(set(by_seed) != set(common) for by_seed in by_place):
+            text += f" over seed{'s' * (len(common) > 1)} {', '.join(map(str, common))}, which all have" * bool(common)
         if np.isnan(found.low):
-            text += f", by {'one seed' if len(by_place[0]) == 1 else 'the one seed that all have'}: it decides nothing"
+            text += ", by one seed: it decides nothing" if common else ", of unlike seeds: it decides nothing"
         else:
             zero = ", which contains zero" if found.low <= 0 <= found.high else ""
             text += f", 90 % interval {interval_as_text(measure.name, found.low, found.high)}{zero}"

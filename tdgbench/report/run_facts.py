@@ -75,8 +75,7 @@ def _prior(record: Record) -> str:
 
 def _initial_points(record: Record) -> str:
     made = "; in this built-in scene drawn from true depth, with noise"
-    is_made = record.is_of_built_in_scene and record.init_points.get("kind") == "colmap"
-    return f"{record.init}: {record.init_points.get('how', NOT_STATED)}{made * is_made}"
+    return f"{record.init}: {record.init_points.get('how', NOT_STATED)}{made * record.has_made_up_points}"
 
 
 def _views(record: Record) -> str:

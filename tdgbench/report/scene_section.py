@@ -12,7 +12,7 @@ from tdgbench.bench.failures import message
 from tdgbench.cells.folder import RENDERS, CellPictures
 from tdgbench.cells.ground_truth import masked_in_words
 from tdgbench.present.colour_scale import ColourScale
-from tdgbench.present.colours import GUESSED, LEVELS, THERMAL, UNKNOWN, colored, colours_of_levels
+from tdgbench.present.colours import GUESSED, LEVELS, MIN_ALPHA, THERMAL, UNKNOWN, colored, colours_of_levels
 from tdgbench.present.html import filter_tables
 from tdgbench.present.view_pictures import DEPTH, ERROR, middle_view, rendered_depth, scale_of
 from tdgbench.report.panels import curve_panels, error_panel, line_colours, settling_panel
@@ -152,6 +152,10 @@ def _tables(scale: ColourScale, is_gray: bool) -> dict[str, list[str]]:
     return {"values": filter_tables(values), "ramp": filter_tables(ramp), "error": filter_tables(error)}
 
 
+def _share(share: float) -> str:
+    return "< 1 %" if 0 < share < 0.005 else f"{100 * share:.0f} %"
+
+
 def _pictures(one: ShownCell, near: float, far: float) -> dict[str, Any]:
     known, guesses = one.determinacy, None
     if known is not None:
@@ -163,5 +167,6 @@ def _pictures(one: ShownCell, near: float, far: float) -> dict[str, Any]:
         "depth": None if one.depth is None else colored(one.depth, DEPTH, near, far),
         "has_gaps": one.depth is not None and bool(np.isnan(one.depth).any()),
         "guesses": guesses,
-        "barely_seen": "n/a" if known is None else f"{100 * is_barely_seen(known).mean():.0f} %",
+        "least_alpha": MIN_ALPHA,
+        "barely_seen": "n/a" if known is None else _share(is_barely_seen(known).mean()),
     }

@@ -172,8 +172,9 @@ class BoardRow:
         """What readers ask of a row beside its scores, by the column's heading."""
         ranges = {"n/a" if r.temperature_range is None else "{:.4g} to {:.4g}".format(*r.temperature_range)
                   for r in self.records}  # fmt: skip
+        seeds = Counter(record.scene for record in self.records)
         return {
-            "seeds": str(len({record.seed for record in self.records})),
+            "seeds": joined(map(str, sorted(set(seeds.values())))),
             "test views": joined(str(record.views.get("test", "n/a")) for record in self.records)
             + " each" * (len(self.scenes) > 1),
             "iterations": iterations_in_words(self.records),

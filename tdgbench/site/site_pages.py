@@ -189,7 +189,7 @@ def in_words(dataset: str) -> str:
     """Return a data set's name, with what it is where the name does not say it."""
     if is_built_in(dataset):
         return f"{dataset} (built into tdgbench)"
-    return f"{dataset} (scenes of one's own, read from a folder)" if dataset == "folder" else dataset
+    return f"{dataset} (scenes that were read from a folder)" if dataset == "folder" else dataset
 
 
 def boards_of(rows: Iterable[BoardRow]) -> list[dict[str, Any]]:
@@ -245,6 +245,8 @@ def _caveats(rows: Sequence[BoardRow]) -> list[str]:
             given.setdefault(record.prior_source.in_full, {})[row.pack.label(row.method)] = None
     are_built_in = all(record.is_of_built_in_scene for row in rows for record in row.records)
     found = ["Built-in scenes: no evidence on the paper."] if are_built_in else []
+    if any(record.has_made_up_points for row in rows for record in row.records):
+        found.append("Initial points of built-in scenes (colmap) are drawn from true depth, with noise.")
     trained = [record for row in rows for record in row.records if record.made_elsewhere is None]
     named = [record.setting("budget.name") for record in trained]
     if others := sorted({f"budget {name}" for name in named if isinstance(name, str)} - {BUDGET}):

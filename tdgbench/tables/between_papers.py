@@ -91,7 +91,7 @@ def gain_against_spread(main: pd.DataFrame, metrics: list[str]) -> str:
             f"is {there}, {compared} the {spread} by which {shared.papers} papers' averages of "
             f"{label(paper_pair().baseline)} differ"
         )
-        notes += [shared.note.partition(". ")[0]] * bool(shared.note)
+        notes += [shared.note] * bool(shared.note)
     unsure = (f"not sure to be {label(paper_pair().baseline)}: {note}" for note in dict.fromkeys(notes))
     return "; ".join((*sentences, *unsure))
 

@@ -32,7 +32,7 @@ def equal_scenes(records: Iterable[Record]) -> dict[Place, Place]:
 def equal_in_words(twin: Place, first: Place) -> str:
     """Return the sentence on a scene that equals another one, of data that no table counts."""
     return (f"{'/'.join(twin)} has the test images of {'/'.join(first)}, byte by byte: they are no evidence beside "
-            "each other, and a mean of both counts them twice")  # fmt: skip
+            "each other, and a mean of both would count them twice")  # fmt: skip
 
 
 def equal_data_notes(equal: Mapping[Place, Place]) -> list[str]:

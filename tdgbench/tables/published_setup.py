@@ -1,7 +1,7 @@
 """The setup of the published numbers, as far as it is known: only cells of that setup are judged by them.
 
 It is that of `+experiment=table1`: the budget `paper`, the convention of 3DGS's metrics with LPIPS by VGG, images as
-the data set has them, and no depth prior that is made from more than the thermal images. Of the split, two readings
+the data set has them, and the depth prior of the paper's network, where the method has one. Of the split, two readings
 count: 80/20 as the paper says, and the shipped folders, which both releases read; of the principal point, the
 model's and the image centre, which the releases take.
 """
@@ -27,6 +27,7 @@ SPLITS = ("eighty_twenty", "folder")
 # no settings of a score, told apart above, or not known: the released readers take the image centre
 FREE = ("data.root", "data.split", "metrics.convention", "metrics.extra", "data.principal_point")
 OWN_WEIGHTS = {"metrics.lpips.weights_sha256": None}  # recorded of other weights than torchvision's
+PAPER_PRIOR = "marigold"  # its version and settings are not known
 MOST = 4  # departures that a reason names
 
 
@@ -47,8 +48,11 @@ def _departures(record: Record, metric: str) -> Iterable[str]:
         yield budget
     if record.split and record.split not in SPLITS:
         yield f"data.split={record.split}"
+    network = record.setting("prior.name")
     if not source.counts:
         yield f"depth prior made from {source.words}"
+    elif record.prior is not None and network not in (None, PAPER_PRIOR):  # early records do not state it
+        yield f"prior={network}"
     yield from overrides_of(record)
     usual = _usual()
     options = protocol_settings(record.config) | flat({"thermal_camera": camera if isinstance(camera, dict) else {}})

@@ -17,12 +17,14 @@ from tdgbench.tables.published import FOLDER
 class SeedSpreads(NamedTuple):
     """Standard deviations over seeds of one training, from `seed_spreads.yaml`.
 
-    factor: differences above it times the largest spread are no matter of seeds. largest: by metric. psnr: the largest
+    factor: differences above it times the largest spread are no matter of seeds. largest: by metric. largest_of: the
+    training whose PSNR that is. psnr: the largest
     of a scene, dB, by `data set/scene`. source: page with the measurements.
     """
 
     factor: float
     largest: dict[str, float]
+    largest_of: str
     psnr: dict[str, float]
     source: str
 
@@ -62,7 +64,8 @@ def usual_spread(main: pd.DataFrame) -> str:
         return f"a method's standard deviation over seeds here on {where} is up to {rows['std'].max():.2g} dB PSNR"
     known = [spreads.psnr[p] for p in scenes.agg("/".join, axis=1) if p in spreads.psnr]
     where, largest = (where, max(known)) if known else ("this or other scenes", spreads.largest["psnr"])
+    of = f" ({spreads.largest_of})" if largest == spreads.largest["psnr"] else ""
     return (
-        f"the largest standard deviation over seeds that was measured on {where} from COLMAP points, of some method "
-        f"and budget, is {largest:g} dB PSNR ({spreads.source})"
+        f"the largest standard deviation over seeds that was measured on {where} from sparse points, of some method "
+        f"and budget{of}, is {largest:g} dB PSNR ({spreads.source})"
     )

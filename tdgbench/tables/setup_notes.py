@@ -33,7 +33,7 @@ def setup_by_name(records: Sequence[Record], timed: bool) -> dict[str, str]:
         return {}
     seeds = Counter((method_label(one, with_init=True), one.dataset, one.scene) for one in records).values()
     facts = {
-        "seeds": [" to ".join(map(str, sorted({min(seeds), max(seeds)})))],
+        "number of seeds": [" to ".join(map(str, sorted({min(seeds), max(seeds)})))],
         "budget": said(budgets(records), records),
         "images": [
             f"{one.assumed['size']}, {one.views['test']} test views"

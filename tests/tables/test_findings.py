@@ -26,7 +26,8 @@ def test_one_seed_concludes_nothing(published_tables):
         "+0.0004; LPIPS 0.175 against 0.177, -0.002; time 0:10:34 against 0:23:21, × 0.45; "
         "PSNR of single scenes -0.78 to +1.79 dB; one seed decides "
         "nothing: the largest standard deviation over seeds that was measured on this or other scenes from "
-        "COLMAP points, of some method and budget, is 6.1 dB PSNR (docs/findings/verdicts.md); "
+        "sparse points, of some method and budget (TDg, budget paper, two seeds), is 6.1 dB PSNR "
+        "(docs/findings/verdicts.md); "
         "by the published table time × 0.45"
     )
     assert found[1:] == ["0 of 102 published scores reproduced, 102 undecided: run `seed=0,1,2`"]
@@ -46,7 +47,7 @@ def test_they_say_what_the_seeds_tell(tmp_path):
     notes = {"times are of 2 cells at once, which may slow each other down", SPREAD, TIMES}
     assert notes <= set(tables.grid.notes)
     assert "Built-in scenes (synthetic)" in tables.latex and "Day light" not in tables.latex
-    assert "of TDg is made from true depth" in tables.latex and "seeds: 3" in tables.latex
+    assert "of TDg is made from true depth" in tables.latex and "number of seeds: 3" in tables.latex
     assert tables.findings[0] == (
         "MSMG against 3DGS on orbit: PSNR 40.47 against 35.13, +5.34 dB (+4.39 to +6.29): better; SSIM 0.800 against "
         "0.800, +0.000 (+0.000 to +0.000): equal within 0.005; time 0:06:00 against 0:06:00, × 1.00 (1.00 to 1.00): "

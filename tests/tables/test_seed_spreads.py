@@ -4,7 +4,7 @@ import pytest
 from tdgbench.tables.seed_spreads import usual_spread
 
 MEASURED = (
-    "the largest standard deviation over seeds that was measured on {} from COLMAP points, of some method and "
+    "the largest standard deviation over seeds that was measured on {} from sparse points, of some method and "
     "budget, is 1.7 dB PSNR (docs/findings/verdicts.md)"
 )
 

@@ -83,7 +83,7 @@ def _of_all_views(shown: ScoredView) -> float:
 BARELY_SEEN = ViewMetric(
     name="barely_seen", label="barely seen",
     meaning="share of pixels that training views determine less than one view from the same place would", order=120,
-    limits=(0.0, 1.0), needs="Gaussians",
+    has_better_side=False, limits=(0.0, 1.0), needs="Gaussians",
     of_view=lambda shown: float(is_barely_seen(at_valid(shown.valid, shown.rendered.known_determinacy)).mean()),
 )  # fmt: skip
 PSNR_BARELY_SEEN = ViewMetric(
