@@ -164,10 +164,12 @@ def _of_option(error: ConfigCompositionException, words: Sequence[str]) -> str:
     if not isinstance(error.__cause__, ConfigAttributeError | ConfigKeyError):
         return ""
     option, group = str(error.__cause__.full_key), error.__cause__.parent_node
-    place = option.rpartition(".")[0]
-    there = [f"{place}.{key!s}" for key in group] if place and isinstance(group, DictConfig) else []
+    place, _, name = option.rpartition(".")
+    nodes = {key: group._get_node(key) for key in group} if place and isinstance(group, DictConfig) else {}
+    there = [f"{place}.{key!s}" for key in nodes]
+    below = [f"{place}.{key!s}.{name}" for key, node in nodes.items() if isinstance(node, DictConfig) and name in node]
     typed = next((word for word in words if word.lstrip("+~").startswith((f"{option}=", f"{option}."))), option)
-    remedy = belongs_to(option) or meant(option, there) or option_meant(option)
+    remedy = belongs_to(option) or meant(option, below or there) or option_meant(option)
     return f"{typed}: is no option{remedy} (`tdgbench --cfg job` shows all)"
 
 

@@ -93,6 +93,7 @@ def test_the_file_that_could_not_be_written_is_named(tmp_path):
     ("iterations=3000", "iterations=3000: is no option; did you mean budget.iterations? ("),
     ("+iterations=3000", "iterations=3000: is no option; did you mean budget.iterations?"),
     ("budget.density.evry=9", "budget.density.evry=9: is no option; did you mean budget.density.every? ("),
+    ("method.lambda_depth=0", "method.lambda_depth=0: is no option; did you mean method.method.lambda_depth? ("),
     ("dataset=folder dataset.loader.errors.pose_units=2",
      "dataset.loader.errors.pose_units=2: is no option; it belongs to dataset=drifting, synthetic, "),
     ("dataset=folder +dataset.loader.errors.pose_units=2",
