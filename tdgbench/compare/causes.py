@@ -24,14 +24,16 @@ KINDS = {
     VERSION: "decides nothing by itself: code and hashes say what differs",
 }
 OF_PROTOCOL = ("data", *MEASURED_ON)  # fields of Record
-OF_TRAINING = ("iterations", "backend", "code", "prior", "init_points")
+OF_TRAINING = ("iterations", "code", "prior", "init_points")
 PROTOCOL_OPTIONS = ("dataset", "metrics")  # groups of the configuration
-OF_VERSION = ("git.commit", "packages.tdgbench", "metrics.lpips.weights")  # the last says where weights are, not which
+# the last says where weights are, not which
+OF_VERSION = ("git.commit", "git.dirty", "packages.tdgbench", "metrics.lpips.weights")
 NAME = "metrics.convention"  # of other options of metrics
 ADDED = "metrics.extra"  # changes no other score
 TRUTH = PROTOCOL, "ground truth"
 LACKING = "not recorded"
 OF_TIMES = (*likeness.MACHINE.values(), "cores", "simd_lanes")  # fields of a record's environment
+MADE_FROM = "prior.made_from"  # first of the options of a prior, with its values
 LONGEST = 12  # characters of a value that a sentence prints
 
 
@@ -53,7 +55,7 @@ class Cause(NamedTuple):
     @property
     def brief(self) -> str:
         """The change, `iterations 3000 → 1200`; of hashes and long values the name."""
-        is_short = self.name != "code" and max(map(len, self.values)) <= LONGEST
+        is_short = self.name != "code" and (max(map(len, self.values)) <= LONGEST or self.name == MADE_FROM)
         return f"{self.name} {' → '.join(self.values)}" if is_short and not self.varies else self.name
 
     @property
@@ -108,8 +110,7 @@ def find_causes(pairs: Pairs) -> list[Cause]:
         for key, counts in found.items()
     ]
     kinds = list(KINDS)
-    first = "prior.made_from"  # what it changes needs the other options of a prior
-    return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells, cause.name != first))
+    return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells, cause.name != MADE_FROM))
 
 
 def _is_newer(name: str, lacking: Mapping[tuple[str, str], str]) -> bool:
@@ -160,6 +161,7 @@ def settings(record: Record) -> dict[tuple[str, str], str]:
     }  # fmt: skip
     for kind, fields in ((PROTOCOL, OF_PROTOCOL), (TRAINING, OF_TRAINING)):
         whole[kind] |= {name: getattr(record, name) for name in fields}
+    whole[TRAINING]["backend that trained"] = record.backend  # the option may be `auto`
     for group, options in record.config.items():
         of_kind = whole[PROTOCOL if group in PROTOCOL_OPTIONS else TRAINING]
         both = isinstance(options, dict) and isinstance(of_kind.get(group), dict)

@@ -20,7 +20,7 @@ from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
 from tdgbench.tables import methods
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences
+from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences, doubts_of
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.findings import given_priors
 from tdgbench.tables.measures import RecordMeasure, measure_of
@@ -142,11 +142,7 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
         some = "" if once == len(pairs) else f" in {once} of {len(pairs)} cells"
         found.append(f"{ONE_TRAINING}{some}: models, renders and logs of A and B are equal (scored again, or copied), "
                      "so there is no repeat and no second time")  # fmt: skip
-    if why := why_no_times(causes):
-        found.append(f"times do not compare: {why}")
-    elif any(map(is_of_times, causes)):
-        settings = in_brief(cause for cause in causes if is_of_times(cause))
-        found.append(f"times may differ because of the machine's settings: {settings}")
+    found += of_times(pairs, causes)
     kinds = []
     for kind in KINDS:
         of_kind = [cause for cause in causes if cause.kind == kind]
@@ -158,13 +154,35 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     shared = [f"{name}: {value}" for name, value in of_both[0].items() if of_both[1].get(name) == value]
     found += [f"the same in both, of the cells that are compared: {'; '.join(shared)}"] * bool(shared)
     trained = [cell.record for pair in pairs for cell in pair]
-    found += given_priors(trained)
+    priors = [given_priors(getattr(pair, side).record for pair in pairs) for side in ("a", "b")]
+    no_more = "no depth prior of more than thermal images"
+    found += priors[0] if priors[0] == priors[1] else [
+        "; ".join(f"in {name}: {' and '.join(said) or no_more}" for name, said in zip("AB", priors, strict=True))
+    ]  # fmt: skip
+    doubts = doubts_of(trained)
+    found += [f"doubt: {doubt}" for doubt in doubts[:MOST_CAUSES]]
+    found += [f"{len(doubts) - MOST_CAUSES} more doubts"] * (len(doubts) > MOST_CAUSES)
     found += ["built-in scenes: no evidence on the paper's claims"] * all(one.is_of_built_in_scene for one in trained)
     found.append("not checked here: whether the stored ground truth is the data's (tdgbench verify)")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
         if alone:
             more = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
             found.append(f"finished in {name} alone: {alone[0].title}{more}")
+    return found
+
+
+def of_times(pairs: Pairs, causes: Sequence[Cause]) -> list[str]:
+    """Return of which cells times do not compare, and what else than the training may change the others'."""
+    unlike: dict[str, list[str]] = {}
+    for place in pairs.by_place:
+        why = why_no_times(cause for cause in causes if place in cause.places)
+        unlike.setdefault(why, []).append(f"{methods.label(place[2])} on {place[1]}")
+    some = len(unlike) > 1
+    found = [f"times{f' of {named(who)}' * some} do not compare: {why}" for why, who in unlike.items() if why]
+    if "" in unlike and any(map(is_of_times, causes)):
+        settings = in_brief(cause for cause in causes if is_of_times(cause))
+        code = " or of the code" * any(cause.name == "code" for cause in causes)
+        found.append(f"times may differ because of the machine's settings{code}: {settings}")
     return found
 
 

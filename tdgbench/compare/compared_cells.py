@@ -174,7 +174,7 @@ def comparison_grid(table: pd.DataFrame, said: Iterable[str] = ()) -> Grid:
     rows = []
     for row in table.to_dict("records"):
         measure, place = measure_of(row["metric"]), tuple(row[name] for name in PLACE)
-        name = measure.label + (f", {measure.images}" if measure.images else "")
+        name = ", ".join(filter(None, (measure.label, measure.unit, measure.images)))
         scene = f"{row['scene']} {MARK}" if row[IMAGES] else row["scene"]
         shown = {**row, "method": methods.label(row["method"]), "scene": scene}
         verdict = GridCell("", sort=row["verdict"], note=row["verdict"], verdict=row["verdict"])
@@ -272,11 +272,12 @@ def _verdicts_of(measure: Measure, group: pd.DataFrame, pairs: Pairs, places: st
         found = _difference(np.diff(values).mean(axis=(0, 2))) if common else Difference(compared["difference"].mean())
         text += f"; B − A {difference_as_text(measure.name, found.mean)}{measure.suffix}"
         text += " on average" if len(compared) > 1 else ""
+        text += ", the identical ones too," if (compared["verdict"] == IDENTICAL).any() else ""
         if any(set(by_seed) != set(common) for by_seed in by_place):
             text += f" over seed{'s' * (len(common) > 1)} {', '.join(map(str, common))}, which all have" * bool(common)
         if np.isnan(found.low):
             text += ", by one seed: it decides nothing" if common else ", of unlike seeds: it decides nothing"
         else:
             zero = ", which contains zero" if found.low <= 0 <= found.high else ""
-            text += f", 90 % interval {interval_as_text(measure.name, found.low, found.high)}{zero}"
+            text += f", 90 % interval over seeds {interval_as_text(measure.name, found.low, found.high)}{zero}"
     return f"{text}; {NOT_COMPARED}: {reasons}" if reasons else text

@@ -66,9 +66,9 @@ def test_the_spread_of_a_repeat_is_not_that_of_seeds(tmp_path):
     ("psnr_b", "said"),
     [
         ([19.0], "PSNR, B against A: undecided; B − A -1.00 dB, by one seed: it decides nothing"),
-        ([20.1, 20.908], "PSNR, B against A: undecided; B − A within ±0.01 dB, 90 % interval -0.602 to +0.610, "
-                         "which contains zero"),
-        ([22.0, 23.1], "PSNR, B against A: better; B − A +2.05 dB, 90 % interval +1.73 to +2.37"),
+        ([20.1, 20.908], "PSNR, B against A: undecided; B − A within ±0.01 dB, 90 % interval over seeds -0.602 to "
+                         "+0.610, which contains zero"),
+        ([22.0, 23.1], "PSNR, B against A: better; B − A +2.05 dB, 90 % interval over seeds +1.73 to +2.37"),
     ],
 )  # fmt: skip
 def test_a_finding_is_no_stronger_than_its_seeds(tmp_path, capsys, psnr_b, said):
@@ -116,7 +116,7 @@ def test_what_differs_is_told_by_what_it_decides(tmp_path):
         ),
         (
             {"code": "new", "environment": {"cells_at_once": 2}},
-            "times may differ because of the machine's settings: cells_at_once not recorded → 2",
+            "times may differ because of the machine's settings or of the code: cells_at_once not recorded → 2",
         ),
     ],
 )
@@ -268,3 +268,25 @@ def test_the_place_of_weights_is_no_protocol():
         *protocol_settings(config)
     }
     assert kinds["metrics.lpips.weights_sha256"] == kinds["metrics.lpips.net"] == PROTOCOL
+
+
+def test_the_backend_that_trained_is_no_repeat(tmp_path, capsys):
+    """Its option is `auto` on both sides."""
+    for name, backend, psnr in (("a", "cpu", 20.0), ("b", "warp", 20.1)):
+        for seed in range(2):
+            config = {"backend": {"name": "auto"}, "budget": {"name": "paper"}}
+            write(tmp_path / name, seed=seed, backend=backend, config=config, scores={"psnr": psnr + seed})
+    assert main([str(tmp_path / "a"), str(tmp_path / "b")]) == 0
+    assert "found: what differs: training (backend that trained cpu → warp)" in capsys.readouterr().out
+    assert np.isnan(rows_of(tmp_path / "a", tmp_path / "b").loc["psnr", "repeat_std"])
+
+
+def test_priors_of_two_kinds_name_their_side(tmp_path, capsys):
+    for name, source in (("a", "truth"), ("b", "thermal images")):
+        write(tmp_path / name, prior={"estimator": "any", "made_from": source})
+    main([str(tmp_path / "a"), str(tmp_path / "b")])
+    out = capsys.readouterr().out
+    assert (
+        "in A: The depth prior of TDg is made from true depth; in B: no depth prior of more than thermal images" in out
+    )
+    assert "prior.made_from truth → thermal images" in out

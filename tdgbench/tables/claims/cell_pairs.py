@@ -97,4 +97,4 @@ def counts_in_words(gain: Interval) -> str:
     if not np.isfinite(gain.low):
         return "one pair has no interval"
     over = f"{gain.scenes} scenes of {gain.pairs} pairs" if gain.scenes > 1 else f"{gain.pairs} pairs of one scene"
-    return f"95 % interval over {over}"
+    return f"95 % interval over {over}" + ", one seed each" * (gain.pairs == gain.scenes > 1)

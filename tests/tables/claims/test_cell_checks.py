@@ -119,7 +119,7 @@ def test_differences_of_what_should_be_low_are_shown_as_they_are(tmp_path):
     grounds = check_claim(
         CLAIMS["fewer-splits"], ours(*sides(tmp_path, CLAIMS["fewer-splits"], (0.3, 0.4, 0.5)))
     ).grounds
-    assert "3 pairs: better, undecided whether by the 25 % that the claim needs (undecided)" in grounds
+    assert "3 pairs, one seed each: better, undecided whether by the 25 % that the claim needs (undecided)" in grounds
 
 
 def test_geometry_of_real_scenes_is_judged_by_consistency(tmp_path):
