@@ -134,8 +134,10 @@ def is_of_times(cause: Cause) -> bool:
 
 
 def why_no_times(causes: Iterable[Cause]) -> str:
-    """Return why times do not compare: another length, or another training on another machine; else empty."""
+    """Return why times do not compare: other images or length, or another training on another machine; else empty."""
     causes = list(causes)
+    if images := [cause for cause in causes if cause.name == "channels" or cause.name.startswith("dataset.")]:
+        return in_brief(images)
     of_machine = [cause for cause in causes if is_of_times(cause)]
     trained = [cause for cause in causes if cause.kind == TRAINING and cause.name != "code"]
     if any(cause.name == "budget.iterations" for cause in trained) or (trained and of_machine):

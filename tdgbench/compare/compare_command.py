@@ -18,9 +18,8 @@ from tdgbench.compare.comparison_page import write_page
 from tdgbench.compare.pairs import PLACE, Pairs, find_pairs, place_of
 from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
-from tdgbench.tables import methods
 from tdgbench.tables.as_csv import as_csv
-from tdgbench.tables.assumptions import UNSTATED, AssumedDifference, assumed_differences, doubts_of
+from tdgbench.tables.assumptions import DOUBTS, UNSTATED, AssumedDifference, assumed_differences, doubts_of
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.findings import given_priors
 from tdgbench.tables.measures import RecordMeasure, measure_of
@@ -100,7 +99,7 @@ def _read(experiment: Path) -> Results:
 
 def assumed_in_words(differences: Sequence[AssumedDifference]) -> list[str]:
     """Return the finding that the two read their files in other ways, and in which; empty if they did not."""
-    names = dict.fromkeys(one.name for one in differences if UNSTATED not in (one.a, one.b))
+    names = dict.fromkeys(one.name for one in differences if UNSTATED not in (one.a, one.b) and one.name != DOUBTS)
     scenes = len({one.scene for one in differences if one.name in names})
     if not names:
         return []
@@ -110,7 +109,7 @@ def assumed_in_words(differences: Sequence[AssumedDifference]) -> list[str]:
 
 def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> list[str]:
     """Return what a comparison found, one sentence each: verdicts, what differs, cells of one experiment alone."""
-    found = []
+    found, heads = [], compared.place_heads(table)
     if len(changed := table.loc[table["reason"] == compared.CHANGED, "metric"].unique()):
         labels = named(measure_of(name).label for name in changed)
         found.append(f"a record was changed: renders, ground truth and protocol are equal, {labels} not; run tdgbench "
@@ -134,7 +133,7 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
                     f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, sorted(seeds)))}" for seeds in (by_seed, further)
                 )
                 said = f"means are over {both}, which both have; {name} has {more} as well, which its tables average"
-                means_of.setdefault(said, []).append(f"{methods.label(place[2])} on {place[1]}")
+                means_of.setdefault(said, []).append(compared.place_in_words(place, heads))
         found += [said if len(who) == len(pairs.by_place) else f"{named(who)}: {said}"
                   for said, who in means_of.items()]  # fmt: skip
     once = sum(pair.is_one_training for pair in pairs)
@@ -142,7 +141,7 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
         some = "" if once == len(pairs) else f" in {once} of {len(pairs)} cells"
         found.append(f"{ONE_TRAINING}{some}: models, renders and logs of A and B are equal (scored again, or copied), "
                      "so there is no repeat and no second time")  # fmt: skip
-    found += of_times(pairs, causes)
+    found += of_times(pairs, causes, heads)
     kinds = []
     for kind in KINDS:
         of_kind = [cause for cause in causes if cause.kind == kind]
@@ -171,19 +170,23 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     return found
 
 
-def of_times(pairs: Pairs, causes: Sequence[Cause]) -> list[str]:
-    """Return of which cells times do not compare, and what else than the training may change the others'."""
-    unlike: dict[str, list[str]] = {}
+def of_times(pairs: Pairs, causes: Sequence[Cause], heads: Sequence[str]) -> list[str]:
+    """Return of which cells times do not compare, and what else than the training may change the others'.
+
+    heads: columns of PLACE that name a place.
+    """
+    found: dict[str, list[str]] = {}
     for place in pairs.by_place:
-        why = why_no_times(cause for cause in causes if place in cause.places)
-        unlike.setdefault(why, []).append(f"{methods.label(place[2])} on {place[1]}")
-    some = len(unlike) > 1
-    found = [f"times{f' of {named(who)}' * some} do not compare: {why}" for why, who in unlike.items() if why]
-    if "" in unlike and any(map(is_of_times, causes)):
-        settings = in_brief(cause for cause in causes if is_of_times(cause))
-        code = " or of the code" * any(cause.name == "code" for cause in causes)
-        found.append(f"times may differ because of the machine's settings{code}: {settings}")
-    return found
+        here = [cause for cause in causes if place in cause.places]
+        settings = in_brief(cause for cause in here if is_of_times(cause))
+        code = " or of the code" * any(cause.name == "code" for cause in here)
+        if why := why_no_times(here):
+            found.setdefault(f"do not compare: {why}", []).append(compared.place_in_words(place, heads))
+        elif settings:
+            said = f"may differ because of the machine's settings{code}: {settings}"
+            found.setdefault(said, []).append(compared.place_in_words(place, heads))
+    return [f"times{'' if len(who) == len(pairs.by_place) else f' of {named(who)}'} {said}"
+            for said, who in found.items()]  # fmt: skip
 
 
 def _show(table: pd.DataFrame, causes: Sequence[Cause], pairs: int, findings: Sequence[str]) -> None:

@@ -164,6 +164,17 @@ def place_heads(table: pd.DataFrame) -> list[str]:
     return [name for name in PLACE if name in ("scene", "method") or table[name].nunique() > 1]
 
 
+def place_in_words(place: Place, heads: Sequence[str]) -> str:
+    """Return a place by the columns that readers need (`place_heads`).
+
+    >>> place_in_words(("synthetic", "night", "tdg", "random", ""), ["scene", "method", "init"])
+    'TDg on night, random'
+    """
+    known = dict(zip(PLACE, place, strict=True))
+    more = [known[name] for name in heads if name not in ("scene", "method") and known[name]]
+    return ", ".join([f"{methods.label(known['method'])} on {known['scene']}", *more])
+
+
 def comparison_grid(table: pd.DataFrame, said: Iterable[str] = ()) -> Grid:
     """Return the score table as readers see it, without what all rows share. `place` of a row: PLACE and metric.
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from tdgbench.cells.key import differences
 from tdgbench.cells.record import Record
+from tdgbench.tables.methods import label
 from tdgbench.text import named
 
 UNSTATED = "not stated"
@@ -37,8 +38,15 @@ def assumed_rows(cells: Sequence[tuple[str, Record]]) -> list[tuple[str, str]]:
 
 
 def doubts_of(records: Iterable[Record]) -> list[str]:
-    """Return the doubts about the cameras and points of each scene, once each, with the scene's name."""
-    said = (f"{record.dataset}/{record.scene}: {doubt}" for record in records for doubt in record.doubts)
+    """Return doubts, once each: about a scene with its name, about a prior or renders with that of the method, too."""
+    known = list(records)
+    of_scenes = {(one.scene, doubt) for one in known if not one.has_doubts_of_its_own for doubt in one.doubts}
+    said = (
+        f"{one.dataset}/{one.scene}{own}: {doubt}"
+        for one in known
+        for doubt in one.doubts
+        for own in [f", {label(one.method)}" * (one.has_doubts_of_its_own and (one.scene, doubt) not in of_scenes)]
+    )
     return list(dict.fromkeys(said))
 
 

@@ -290,3 +290,25 @@ def test_priors_of_two_kinds_name_their_side(tmp_path, capsys):
         "in A: The depth prior of TDg is made from true depth; in B: no depth prior of more than thermal images" in out
     )
     assert "prior.made_from truth → thermal images" in out
+
+
+def test_causes_of_times_name_their_cells(tmp_path, capsys):
+    for name, at_once, channels in (("a", 1, 1), ("b", 2, 3)):
+        write(tmp_path / name, scene="Truck", environment={"cells_at_once": at_once})
+        write(tmp_path / name, scene="Dimsum", channels=channels)
+        write(tmp_path / name, scene="Ebike")
+    main([str(tmp_path / "a"), str(tmp_path / "b")])
+    out = capsys.readouterr().out
+    assert "found: times of TDg on Truck may differ because of the machine's settings: cells_at_once 1 → 2\n" in out
+    assert "found: times of TDg on Dimsum do not compare: channels 1 → 3\n" in out
+
+
+def test_doubts_name_whose_they_are(tmp_path, capsys):
+    for name in "ab":
+        write(tmp_path / name, doubts=["6 of 32 cameras look wrong"])
+        own = {"doubts": ["6 of 32 cameras look wrong", "the renders look shifted"], "has_doubts_of_its_own": True}
+        write(tmp_path / name, "msmg", **own)
+    main([str(tmp_path / "a"), str(tmp_path / "b")])
+    out = capsys.readouterr().out
+    assert "doubt: RGBT-Scenes/Truck: 6 of 32 cameras look wrong\n" in out and out.count("look wrong") == 1
+    assert "doubt: RGBT-Scenes/Truck, MSMG: the renders look shifted\n" in out

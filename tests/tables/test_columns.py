@@ -51,7 +51,9 @@ def test_a_site_prints_each_pack_as_it_says(folders, tmp_path):
 
 def test_a_comparison_prints_the_names_of_both(folders, tmp_path, capsys):
     assert compare_command.main([*map(str, folders), "--out", str(tmp_path)]) == 0
-    assert {"Shared B", "Edges A", "Edges B", "Hiss B"} <= cells_of(HtmlPage((tmp_path / "compare.html").read_text()))
+    assert {"Shared B", "Edges A, A", "Edges B, B", "Hiss B, B"} <= cells_of(
+        HtmlPage((tmp_path / "compare.html").read_text())
+    )
     assert "Shared B" in capsys.readouterr().out
 
 
