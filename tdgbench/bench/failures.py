@@ -160,6 +160,10 @@ def _of_choice(error: MissingConfigException, words: Sequence[str]) -> str:
     return f"{group}={choice}: there is no such {group}{meant(choice, error.options)} (there are {there}){own}"
 
 
+def _has(node: object, name: str) -> bool:
+    return isinstance(node, DictConfig) and not node._is_none() and name in node
+
+
 def _of_option(error: ConfigCompositionException, words: Sequence[str]) -> str:
     if not isinstance(error.__cause__, ConfigAttributeError | ConfigKeyError):
         return ""
@@ -167,7 +171,7 @@ def _of_option(error: ConfigCompositionException, words: Sequence[str]) -> str:
     place, _, name = option.rpartition(".")
     nodes = {key: group._get_node(key) for key in group} if place and isinstance(group, DictConfig) else {}
     there = [f"{place}.{key!s}" for key in nodes]
-    below = [f"{place}.{key!s}.{name}" for key, node in nodes.items() if isinstance(node, DictConfig) and name in node]
+    below = [f"{place}.{key!s}.{name}" for key, node in nodes.items() if _has(node, name)]
     typed = next((word for word in words if word.lstrip("+~").startswith((f"{option}=", f"{option}."))), option)
     remedy = belongs_to(option) or meant(option, below or there) or option_meant(option)
     return f"{typed}: is no option{remedy} (`tdgbench --cfg job` shows all)"

@@ -32,7 +32,8 @@ SOURCES: dict[PriorSource, Source] = {
     "files": Source("files of unknown origin", in_report="; no evidence for thermal images alone", counts=False),
 }  # fmt: skip
 UNKNOWN = Source("an unknown source", counts=False)
-BUILT_IN_POINTS = SOURCES[POINTS]._replace(remark="in this built-in scene drawn from true depth, with noise")
+MADE_UP = "in this built-in scene drawn from true depth, with noise"  # sparse points, which COLMAP did not find
+BUILT_IN_POINTS = SOURCES[POINTS]._replace(remark=MADE_UP)
 
 
 def source_of(made_from: str, is_built_in: bool = False) -> Source:

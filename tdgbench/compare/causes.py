@@ -84,7 +84,7 @@ class Cause(NamedTuple):
         """Return the change, which scores it decides, and in how many of the pairs it is if not in all."""
         some = "" if self.cells == pairs else f" (in {self.cells} of {pairs} cells)"
         if self.varies:
-            some = f" (so in {self.alike} of {self.cells} cells that differ, otherwise in the others)"
+            some = f" (so in {self.alike} of {self.cells} cells that differ, of {pairs}; otherwise in the others)"
         return f"{self.change}{f' ({self.scope})' if self.scope else ''}{some}"
 
 

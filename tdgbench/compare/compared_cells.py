@@ -98,7 +98,11 @@ def _why_not_compared(metric: str, place: Place, by_seed: Mapping[int, ComparedC
             return ""
         is_busy = any(was_disturbed(cell.record) for pair in by_seed.values() for cell in pair)
         return "times of a busy machine" if is_busy else why_no_times(c for c in causes if place in c.places)
-    unlike = [cause.change for cause in causes if place in cause.places and metric in cause.scores]
+    unlike = [
+        cause.name if cause.varies else cause.change
+        for cause in causes
+        if place in cause.places and metric in cause.scores
+    ]
     if unlike:
         return f"{TWO_PROTOCOLS} ({'; '.join(unlike)})"
     changed = (scores for pair in by_seed.values() for scores in changed_scores(cell.record for cell in pair).values())
@@ -283,9 +287,9 @@ def _verdicts_of(measure: Measure, group: pd.DataFrame, pairs: Pairs, places: st
         found = _difference(np.diff(values).mean(axis=(0, 2))) if common else Difference(compared["difference"].mean())
         text += f"; B − A {difference_as_text(measure.name, found.mean)}{measure.suffix}"
         text += " on average" if len(compared) > 1 else ""
-        text += ", the identical ones too," if (compared["verdict"] == IDENTICAL).any() else ""
+        text += ", the identical ones too" if (compared["verdict"] == IDENTICAL).any() else ""
         if any(set(by_seed) != set(common) for by_seed in by_place):
-            text += f" over seed{'s' * (len(common) > 1)} {', '.join(map(str, common))}, which all have" * bool(common)
+            text += f", over seed{'s' * (len(common) > 1)} {', '.join(map(str, common))}, which all have" * bool(common)
         if np.isnan(found.low):
             text += ", by one seed: it decides nothing" if common else ", of unlike seeds: it decides nothing"
         else:

@@ -8,6 +8,7 @@ from typing import Any
 from tdgbench import __version__
 from tdgbench.bench.commit import commit_in_words
 from tdgbench.cells.plan import Plan
+from tdgbench.cells.prior_sources import MADE_UP
 from tdgbench.cells.record import READ_PHASE, Record
 from tdgbench.tables.cell_names import Fact, method_on_scene, said
 from tdgbench.tables.likeness import version
@@ -74,7 +75,7 @@ def _prior(record: Record) -> str:
 
 
 def _initial_points(record: Record) -> str:
-    made = "; in this built-in scene drawn from true depth, with noise"
+    made = f"; {MADE_UP}"
     return f"{record.init}: {record.init_points.get('how', NOT_STATED)}{made * record.has_made_up_points}"
 
 

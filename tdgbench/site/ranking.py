@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,8 +42,7 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
 
     None is ranked where equal renders have unlike scores: somebody changed a record.
     """
-    of_content = changed_scores(record for row in rows for record in row.records)
-    if why := " and ".join(dict.fromkeys(filter(None, (_changed_in_words(row, of_content) for row in rows)))):
+    if why := _changed_in_words(rows):
         return [replace(row, unranked=why, is_unlike=True) for row in rows]
     by_content: dict[tuple[object, ...], list[BoardRow]] = {}
     for row in rows:
@@ -70,11 +69,17 @@ def _ranked(rows: list[BoardRow]) -> list[BoardRow]:
     return found
 
 
-def _changed_in_words(row: BoardRow, of_content: Mapping[str, list[str]]) -> str:
-    """Return which scores of a row were changed, in words; empty if none. of_content: from `changed_scores`."""
-    names = dict.fromkeys(name for record in row.records for name in of_content.get(shared_content(record), ()))
-    labels = named(measure_of(name).label for name in names)
-    return f"packs have unlike {labels} for equal renders of {row.label}: verify them" if names else ""
+def _changed_in_words(rows: Iterable[BoardRow]) -> str:
+    """Return which scores of equal renders are unlike, and whose, in words; empty if none are."""
+    known = list(rows)
+    of_content = changed_scores(record for row in known for record in row.records)
+    found = [
+        (name, row.label) for row in known for one in row.records for name in of_content.get(shared_content(one), ())
+    ]
+    labels, who = (
+        named(dict.fromkeys(words)) for words in ([measure_of(n).label for n, _ in found], [w for _, w in found])
+    )
+    return f"equal renders of {who} have unlike {labels}, so a record was changed: verify the packs" if found else ""
 
 
 def _is_part(row: BoardRow, whole: BoardRow) -> bool:
@@ -87,7 +92,9 @@ def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:
     if len(rivals) < 2:
         return rivals
     if any(row.setups != rivals[0].setups or len(row.setups) > len(row.scenes) for row in rivals):
-        unlike = f"the rows of all packs differ in {_differences(rivals)}"
+        unlike = (
+            f"the rows of all packs differ in {_differences(rivals)}. Only like trainings on equal images are ranked"
+        )
         return [replace(row, unranked=unlike, is_unlike=True) for row in rivals]
     able = [i for i, row in enumerate(rivals) if len(row.by_seed(METRIC)) >= FEWEST_SEEDS]
     found = [replace(row, unranked=FEW_SEEDS) for row in rivals]

@@ -51,7 +51,7 @@ from tdgbench.tables.grids import SCENE_KEYS, TIMES, reasons_for_na
 from tdgbench.tables.likeness import disturbed_notes, machine_in_words, setups, times_at_once
 from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import AVERAGE, HOURS, as_text, measure_of
-from tdgbench.tables.overrides import training_in_words
+from tdgbench.tables.overrides import filed, training_in_words
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
 from tdgbench.tables.published_setup import BUDGET
 from tdgbench.tables.results import Cell
@@ -249,7 +249,8 @@ def _caveats(rows: Sequence[BoardRow]) -> list[str]:
         found.append("Initial points of built-in scenes (colmap) are drawn from true depth, with noise.")
     trained = [record for row in rows for record in row.records if record.made_elsewhere is None]
     named = [record.setting("budget.name") for record in trained]
-    if others := sorted({f"budget {name}" for name in named if isinstance(name, str)} - {BUDGET}):
+    shipped = {f"budget {name}" for name in named if isinstance(name, str) and filed("budget", name) is not None}
+    if others := sorted(shipped - {BUDGET}):
         found.append(f"With {joined(others)}, lengths and rules of growth, resets and rates are tdgbench's own, "
                      f"for all methods; the authors' are those of {BUDGET}.")  # fmt: skip
     if all(ended_by_its_budget(record) for row in rows for record in row.records):
@@ -277,7 +278,7 @@ def _reasons(rows: Sequence[BoardRow], columns: Sequence[int]) -> list[str]:
 
 
 def _scenes_by_reason(rows: Iterable[BoardRow]) -> dict[str, list[str]]:
-    """Return scenes whose rows cannot be compared, by what they differ in."""
+    """Return scenes whose rows are not ranked, by the reason: they differ, or a record was changed."""
     found: dict[str, list[str]] = {}
     for row in rows:
         if row.is_unlike and not row.is_average and row.scene not in found.get(row.unranked, []):

@@ -38,16 +38,20 @@ def assumed_rows(cells: Sequence[tuple[str, Record]]) -> list[tuple[str, str]]:
 
 
 def doubts_of(records: Iterable[Record]) -> list[str]:
-    """Return doubts, once each: about a scene with its name, about a prior or renders with that of the method, too."""
-    known = list(records)
-    of_scenes = {(one.scene, doubt) for one in known if not one.has_doubts_of_its_own for doubt in one.doubts}
-    said = (
-        f"{one.dataset}/{one.scene}{own}: {doubt}"
-        for one in known
-        for doubt in one.doubts
-        for own in [f", {label(one.method)}" * (one.has_doubts_of_its_own and (one.scene, doubt) not in of_scenes)]
-    )
-    return list(dict.fromkeys(said))
+    """Return doubts, once each, with the scene's name; with that of the method, too, if it alone has it of its own.
+
+    Records do not say which of their doubts are about a prior or renders: those that two methods share are the scene's.
+    """
+    found: dict[str, dict[str, bool]] = {}  # by method, whether it has doubts of its own
+    for one in records:
+        for doubt in one.doubts:
+            by_method = found.setdefault(f"{one.dataset}/{one.scene}: {doubt}", {})
+            by_method[one.method] = by_method.get(one.method, True) and one.has_doubts_of_its_own
+    return [
+        f"{text} ({label(method)})" if len(of_methods) == 1 and is_own else text
+        for text, of_methods in found.items()
+        for method, is_own in [next(iter(of_methods.items()))]
+    ]
 
 
 class AssumedDifference(NamedTuple):

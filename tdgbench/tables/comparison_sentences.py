@@ -166,7 +166,9 @@ def _certainty(place: pd.DataFrame, main: pd.DataFrame) -> list[str]:
     shared += ", not over scenes" if is_average(place).any() else ""
     has_any = any(map(_has_interval, place.itertuples()))
     counts = sorted({int(row.seeds) for row in place.itertuples() if _has_interval(row)})
-    times = "; those of times leave out what a repeated run changes" * (HOURS.name in set(place["metric"]))
+    times = "; those of times leave out what a repeated run changes" * any(
+        row.metric == HOURS.name and _has_interval(row) for row in place.itertuples()
+    )
     over = f"{' or '.join(map(str, counts))} seeds{shared}{times}"
     return [f"in brackets: 95 % intervals over {over}"] if has_any else []
 

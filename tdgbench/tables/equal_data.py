@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from math import isfinite
 
 from tdgbench.cells.folder import TARGETS, shared_content
 from tdgbench.cells.record import Record
@@ -56,14 +57,16 @@ def changed_scores(records: Iterable[Record]) -> dict[str, list[str]]:
     >>> a, b = (of_tdg(scores={"psnr": dB}) for dB in (30.0, 30.3))
     >>> list(changed_scores([a, b]).values()), changed_scores([a, a])
     ([['psnr']], {})
+    >>> list(changed_scores([of_tdg(scores={"psnr": None}), a, b]).values())
+    [['psnr']]
     """
-    by_content: dict[str, list[Record]] = {}
+    by_content: dict[tuple[str, str], list[Record]] = {}
     for record in records:
-        by_content.setdefault(shared_content(record), []).append(record)
+        by_content.setdefault((shared_content(record), str(record.temperature_range)), []).append(record)
     found: dict[str, list[str]] = {}
-    for content, same in by_content.items():
+    for (content, _), same in by_content.items():
         for name, rounding in EXACT.items():
-            values = [metric_value(record, name)[0] for record in same]
-            if content and max(values) - min(values) > rounding:  # false where one is n/a
+            values = [value for record in same if isfinite(value := metric_value(record, name)[0])]
+            if content and values and max(values) - min(values) > rounding:
                 found.setdefault(content, []).append(name)
     return found

@@ -97,7 +97,7 @@ def further_grid(main: pd.DataFrame) -> Grid | None:
 
 def failed_metrics(main: pd.DataFrame) -> list[str]:
     """Return the user's metrics that raised an error in some row."""
-    failed = {*main.loc[main["reason"].str.startswith(FAILED), "metric"]}
+    failed = {*main.loc[main["reason"].str.contains(rf"^(?:in \d+ of \d+ seeds )?{FAILED}"), "metric"]}
     return [metric for metric in own_metrics() if metric in failed]
 
 

@@ -18,8 +18,7 @@ class SeedSpreads(NamedTuple):
     """Standard deviations over seeds of one training, from `seed_spreads.yaml`.
 
     factor: differences above it times the largest spread are no matter of seeds. largest: by metric. largest_of: the
-    training whose PSNR that is. psnr: the largest
-    of a scene, dB, by `data set/scene`. source: page with the measurements.
+    training whose PSNR that is. psnr: the largest of a scene, dB, by `data set/scene`. source: page with the measurements.
     """
 
     factor: float
@@ -63,7 +62,7 @@ def usual_spread(main: pd.DataFrame) -> str:
     if rows["std"].notna().any():
         return f"a method's standard deviation over seeds here on {where} is up to {rows['std'].max():.2g} dB PSNR"
     known = [spreads.psnr[p] for p in scenes.agg("/".join, axis=1) if p in spreads.psnr]
-    where, largest = (where, max(known)) if known else ("this or other scenes", spreads.largest["psnr"])
+    where, largest = (where, max(known)) if known else ("these or other scenes", spreads.largest["psnr"])
     of = f" ({spreads.largest_of})" if largest == spreads.largest["psnr"] else ""
     return (
         f"the largest standard deviation over seeds that was measured on {where} from sparse points, of some method "

@@ -311,4 +311,13 @@ def test_doubts_name_whose_they_are(tmp_path, capsys):
     main([str(tmp_path / "a"), str(tmp_path / "b")])
     out = capsys.readouterr().out
     assert "doubt: RGBT-Scenes/Truck: 6 of 32 cameras look wrong\n" in out and out.count("look wrong") == 1
-    assert "doubt: RGBT-Scenes/Truck, MSMG: the renders look shifted\n" in out
+    assert "doubt: RGBT-Scenes/Truck: the renders look shifted (MSMG)\n" in out
+
+
+def test_an_average_over_equal_places_says_so(tmp_path, capsys):
+    for name, gain in (("a", 0.0), ("b", 1.0)):
+        for seed in range(3):
+            write(tmp_path / name, scene="Truck", seed=seed, scores={"psnr": 20.0 + seed / 10 + gain})
+            write(tmp_path / name, scene="Ebike", seed=seed, scores={"psnr": 20.0})
+    main([str(tmp_path / "a"), str(tmp_path / "b")])
+    assert "B − A +0.500 dB on average, the identical ones too, 90 % interval over seeds +" in capsys.readouterr().out

@@ -343,5 +343,5 @@ def test_equal_renders_with_another_score_have_no_rank(tmp_path, score, label, m
         ("–", "TDg", "b.zip"),
     ]
     assert (folder / "index.html").read_text().count(
-        f"<b>No ranks on Shed</b>: packs have unlike {label} for equal renders of TDg: verify them"
+        f"<b>No ranks on Shed</b>: equal renders of TDg have unlike {label}, so a record was changed: verify the packs"
     ) == 1

@@ -10,7 +10,11 @@ from tdgbench.cells.plan import MethodEntry, MetricEntry, Plan
 from tdgbench.compare import compare_command
 from tdgbench.experiments.sweep.finish import write_all
 from tdgbench.packs import pack
+from tdgbench.scoring.metric import FAILED
 from tdgbench.site import site_pages
+from tdgbench.tables.build import build_tables
+from tdgbench.tables.columns import own_columns
+from tdgbench.tables.grids import failed_metrics
 from tests.helpers.html_page import HtmlPage
 from tests.helpers.records import write
 
@@ -67,3 +71,14 @@ def test_a_folder_s_names_end_with_it(folders, tmp_path, capsys):
         found = {f"{word} {a}" for word in ("Mine", "Shared", "Edges", "Hiss") for a in "AB" if f"{word} {a}" in text}
         assert found == {f"{word} {folder.name}" for word in ("Mine", "Shared", "Edges", "Hiss") if is_own}
         assert ("hiss" in pd.read_csv(folder / "tables/main.csv")["metric"].to_list()) == is_own
+
+
+def test_a_metric_that_fails_in_one_seed_is_shown(tmp_path):
+    plan = Plan(own_metrics={"hiss": MetricEntry("Hiss", "", "", 1, True, (None, None), "")})
+    plan.write(tmp_path)
+    for seed in range(3):
+        missing = {} if seed else {"hiss": f"{FAILED}boom"}
+        write(tmp_path, seed=seed, scores={"hiss": 7.0 if seed else None}, missing=missing)
+    main = build_tables(tmp_path).main
+    with own_columns(plan):
+        assert failed_metrics(main) == ["hiss"]

@@ -25,7 +25,7 @@ def test_one_seed_concludes_nothing(published_tables):
         "TDg against MSMG on average over 14 scenes: PSNR 27.42 against 27.18, +0.24 dB; SSIM 0.8899 against 0.8896, "
         "+0.0004; LPIPS 0.175 against 0.177, -0.002; time 0:10:34 against 0:23:21, × 0.45; "
         "PSNR of single scenes -0.78 to +1.79 dB; one seed decides "
-        "nothing: the largest standard deviation over seeds that was measured on this or other scenes from "
+        "nothing: the largest standard deviation over seeds that was measured on these or other scenes from "
         "sparse points, of some method and budget (TDg, budget paper, two seeds), is 6.1 dB PSNR "
         "(docs/findings/verdicts.md); "
         "by the published table time × 0.45"
