@@ -18,7 +18,7 @@ class SeedSpreads(NamedTuple):
     """Standard deviations over seeds of one training, from `seed_spreads.yaml`.
 
     factor: differences above it times the largest spread are no matter of seeds. largest: by metric. largest_of: the
-    training whose PSNR that is. psnr: the largest of a scene, dB, by `data set/scene`. source: page with the measurements.
+    training whose PSNR that is. psnr: the largest of a scene, dB, by `data set/scene`. source: the page of these.
     """
 
     factor: float
