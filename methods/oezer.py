@@ -7,7 +7,7 @@ and order: mert-o/ThermalNeRFs, commit d822bd10.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -100,16 +100,19 @@ class AveragedNetwork(Network):
     The average has the occupancy grid and the region of the field itself.
     """
 
-    def __init__(self, field: InstantField, rate: Rate, factor: float, ended: Callable[[int], int]) -> None:
-        """factor: of the average at an epoch, smaller at first. ended: number of epochs that end with an iteration."""
+    before = 0  # iterations of the stages before this one
+
+    def __init__(self, field: InstantField, rate: Rate, factor: float, planned: int, iterations: int) -> None:
+        """factor: of the average at an epoch, smaller at first. planned: epochs in the iterations of all stages."""
         super().__init__(field, rate, FieldAdam)
-        self.factor, self.ended, self.epochs = factor, ended, 0
+        self.factor, self.planned, self.iterations, self.epochs = factor, planned, iterations, 0
         self.average = copy.deepcopy(field)
         self.average.occupancy, self.average.region_numbers = field.occupancy, field.region_numbers
 
     def step(self, iteration: int) -> str | None:
         not_finite = super().step(iteration)
-        if ended := self.ended(iteration):
+        now = self.before + iteration
+        if ended := now * self.planned // self.iterations - (now - 1) * self.planned // self.iterations:
             self.epochs += ended
             factor = min(self.factor, (1 + self.epochs) / (10 + self.epochs)) ** ended
             with torch.no_grad():
@@ -177,14 +180,9 @@ class InstantThermal(FieldMethod):
         occupancy = OccupancyGrid(2 ** ((size.log2_rows + 2) // 3))  # 128 of an axis with their tables of 2^19
         self.field = InstantField(density, occupancy, heads, self.steps * size.samples[0]).to(context.device)
         self.rate = falling(self.rates, max(1, round(self.rate_end * whole)))
-        self.whole = whole
-        ended = lambda iteration: self.epochs_ended(iteration)  # noqa: E731 - a copy of the part shares it
-        self.part = context.add_part("field", AveragedNetwork(self.field, self.rate, self.averaging, ended))
+        network = AveragedNetwork(self.field, self.rate, self.averaging, self.epochs, whole)
+        self.part = context.add_part("field", network)
         self.begin_batches(context, outputs)
-
-    def epochs_ended(self, iteration: int) -> int:
-        """Return how many epochs end with an iteration of all stages."""
-        return iteration * self.epochs // self.whole - (iteration - 1) * self.epochs // self.whole
 
     def begin_batches(self, context: Context, outputs: Mapping[str, Output]) -> None:
         """Make what a stage draws rays and places by."""
@@ -277,7 +275,7 @@ class FineTune(InstantThermal):
     def _set_up_thermal(self, context: Context) -> None:
         self.part = context.add_part("field", copy.deepcopy(self.part))
         self.part.rate = lambda iteration: self.rate(self.before + iteration)
-        self.part.ended = lambda iteration: self.epochs_ended(self.before + iteration)
+        self.part.before = self.before
         self.field = self.part.module
         self.begin_batches(context, {"thermal": Output("image", 0, 3)})
 

@@ -106,8 +106,9 @@ def find_causes(pairs: Pairs) -> list[Cause]:
                 found.setdefault(key, Counter())[mine, theirs] += 1
                 places.setdefault(key, set()).add(place_of(pair.a.record))
     causes = [
-        Cause(*key, counts.most_common(1)[0][0], counts.total(), frozenset(places[key]), counts.most_common(1)[0][1])
+        Cause(*key, values, counts.total(), frozenset(places[key]), alike)
         for key, counts in found.items()
+        for values, alike in counts.most_common(1)
     ]
     kinds = list(KINDS)
     return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells, cause.name != MADE_FROM))

@@ -152,22 +152,28 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     of_both = [setup_by_name([getattr(pair, side).record for pair in pairs], timed=True) for side in ("a", "b")]
     shared = [f"{name}: {value}" for name, value in of_both[0].items() if of_both[1].get(name) == value]
     found += [f"the same in both, of the cells that are compared: {'; '.join(shared)}"] * bool(shared)
-    trained = [cell.record for pair in pairs for cell in pair]
-    priors = [given_priors(getattr(pair, side).record for pair in pairs) for side in ("a", "b")]
-    no_more = "no depth prior of more than thermal images"
-    found += priors[0] if priors[0] == priors[1] else [
-        "; ".join(f"in {name}: {' and '.join(said) or no_more}" for name, said in zip("AB", priors, strict=True))
-    ]  # fmt: skip
-    doubts = doubts_of(trained)
-    found += [f"doubt: {doubt}" for doubt in doubts[:MOST_CAUSES]]
-    found += [f"{len(doubts) - MOST_CAUSES} more doubts"] * (len(doubts) > MOST_CAUSES)
-    found += ["built-in scenes: no evidence on the paper's claims"] * all(one.is_of_built_in_scene for one in trained)
+    found += evidence_of_scores(pairs)
     found.append("not checked here: whether the stored ground truth is the data's (tdgbench verify)")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
         if alone:
             more = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
             found.append(f"finished in {name} alone: {alone[0].title}{more}")
     return found
+
+
+def evidence_of_scores(pairs: Pairs) -> list[str]:
+    """Return what depth priors are made from, what is doubted, and what the scores are no evidence of."""
+    trained = [cell.record for pair in pairs for cell in pair]
+    priors = [given_priors(getattr(pair, side).record for pair in pairs) for side in ("a", "b")]
+    no_more = "no depth prior of more than thermal images"
+    found = priors[0] if priors[0] == priors[1] else [
+        "; ".join(f"in {name}: {' and '.join(said) or no_more}" for name, said in zip("AB", priors, strict=True))
+    ]  # fmt: skip
+    doubts = doubts_of(trained)
+    found += [f"doubt: {doubt}" for doubt in doubts[:MOST_CAUSES]]
+    found += [f"{len(doubts) - MOST_CAUSES} more doubts"] * (len(doubts) > MOST_CAUSES)
+    built_in = ["built-in scenes: no evidence on the paper's claims"] * all(one.is_of_built_in_scene for one in trained)
+    return found + built_in
 
 
 def of_times(pairs: Pairs, causes: Sequence[Cause], heads: Sequence[str]) -> list[str]:

@@ -6,7 +6,7 @@ sums have no fixed order) is not the spread over seeds.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import nan
 from typing import Any, NamedTuple
 
@@ -66,11 +66,13 @@ def score_table(pairs: Pairs, causes: Sequence[Cause]) -> pd.DataFrame:
         is_repeat = not any(pair.is_one_training for pair in by_seed.values())
         is_elsewhere = any(place in cause.places for cause in causes)  # times and memory depend on the machine
         is_repeat &= all(cause.kind in (MACHINE, VERSION) or place not in cause.places for cause in causes)
+        of_pairs = [changed_scores(cell.record for cell in pair) for pair in by_seed.values()]
+        changed = {name for of_content in of_pairs for names in of_content.values() for name in names}
         for metric in known_measures():
             values = np.array([_values(pair, metric) for pair in by_seed.values()])
             if np.isnan(values).all() and metric not in load_margins():
                 continue
-            reason = _why_not_compared(metric, place, by_seed, causes)
+            reason = _why_not_compared(metric, place, by_seed, causes, changed)
             is_same = is_repeat and not (isinstance(measure_of(metric), RecordMeasure) and is_elsewhere)
             compared = _compared(metric, values, is_same, reason)
             counted = [len(seeds), " ".join(map(str, seeds))]
@@ -78,8 +80,10 @@ def score_table(pairs: Pairs, causes: Sequence[Cause]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _why_not_compared(metric: str, place: Place, by_seed: Mapping[int, ComparedCell], causes: Iterable[Cause]) -> str:
-    """Return why a number of A and B is not compared; empty if it is."""
+def _why_not_compared(
+    metric: str, place: Place, by_seed: Mapping[int, ComparedCell], causes: Iterable[Cause], changed: Collection[str]
+) -> str:
+    """Return why a number of A and B is not compared; empty if it is. changed: from `changed_scores`, of all pairs."""
     lacking: dict[str, dict[int, str]] = {}
     for seed, pair in by_seed.items():
         for name, cell in zip("AB", pair, strict=True):
@@ -105,8 +109,7 @@ def _why_not_compared(metric: str, place: Place, by_seed: Mapping[int, ComparedC
     ]
     if unlike:
         return f"{TWO_PROTOCOLS} ({'; '.join(unlike)})"
-    changed = (scores for pair in by_seed.values() for scores in changed_scores(cell.record for cell in pair).values())
-    return CHANGED if any(metric in scores for scores in changed) else ""
+    return CHANGED if metric in changed else ""
 
 
 def _values(pair: ComparedCell, metric: str) -> list[float]:

@@ -105,8 +105,8 @@ class BoardRow:
     settings: of its protocol. scores: of each of SCORES. own: of the pack's own metrics, by title and meaning. setups:
     what its cells have to share with those of a rival, as JSON. ranks: best and worst one among `rivals` rows of all
     packs, see `ranked`; None for the reason in `unranked`, which may be that it and its rivals are unlike, or
-    that a record was changed (`is_unlike`). tied: those
-    that it cannot be told from. twin: which other pack holds its cells too, in words.
+    that a record was changed (`is_unlike`). tied: those that it cannot be told from. twin: which other pack holds its
+    cells too, in words.
     """
 
     pack: Pack
