@@ -195,6 +195,11 @@ class Record:
         return self.data.partition("-")[0]
 
     @property
+    def further_files(self) -> str:
+        """Fingerprint of the files that its depth prior, or its renders, were read from; empty without such."""
+        return self.data.partition("-")[2]
+
+    @property
     def protocol_number(self) -> str:
         """Version of the protocol, without the hash of its options."""
         return self.protocol.partition("-")[0]

@@ -12,7 +12,7 @@ from tdgbench.cells.protocol import MEASURED_ON
 from tdgbench.cells.record import Record
 from tdgbench.compare.pairs import ComparedCell, Pairs, Place, place_of
 from tdgbench.scoring import METRICS
-from tdgbench.tables import likeness
+from tdgbench.tables import likeness, methods
 from tdgbench.tables.measures import known_measures, measure_of
 from tdgbench.text import as_typed, named, one_line
 
@@ -23,7 +23,8 @@ KINDS = {
     MACHINE: "decides rounding and time",
     VERSION: "decides nothing by itself: code and hashes say what differs",
 }
-OF_PROTOCOL = ("data", *MEASURED_ON)  # fields of Record
+DATA = "data"  # of the scene
+OF_PROTOCOL = MEASURED_ON  # fields of Record
 OF_TRAINING = ("iterations", "code", "prior", "init_points")
 PROTOCOL_OPTIONS = ("dataset", "metrics")  # groups of the configuration
 # the last says where weights are, not which
@@ -38,7 +39,10 @@ LONGEST = 12  # characters of a value that a sentence prints
 
 
 class Cause(NamedTuple):
-    """One setting that differs. values: A's and B's, the most frequent ones. cells: pairs in which it differs."""
+    """One setting that differs. values: A's and B's, the most frequent ones. cells: pairs in which it differs.
+
+    in_part: places of which it differs in some seeds alone.
+    """
 
     kind: str
     name: str
@@ -46,6 +50,7 @@ class Cause(NamedTuple):
     cells: int
     places: frozenset[Place]
     alike: int  # pairs in which it differs by just these values
+    in_part: frozenset[Place] = frozenset()
 
     @property
     def change(self) -> str:
@@ -82,7 +87,9 @@ class Cause(NamedTuple):
 
     def sentence(self, pairs: int) -> str:
         """Return the change, which scores it decides, and in how many of the pairs it is if not in all."""
-        some = "" if self.cells == pairs else f" (in {self.cells} of {pairs} cells)"
+        where = named(f"{methods.label(method)} on {scene}" for _, scene, method, *_ in sorted(self.places))
+        seeds = ", some of their seeds alone" * bool(self.in_part)
+        some = "" if self.cells == pairs else f" (in {self.cells} of {pairs} cells: {where}{seeds})"
         if self.varies:
             some = f" (so in {self.alike} of {self.cells} cells that differ, of {pairs}; otherwise in the others)"
         return f"{self.change}{f' ({self.scope})' if self.scope else ''}{some}"
@@ -95,7 +102,7 @@ def find_causes(pairs: Pairs) -> list[Cause]:
     option of the budget that a record lacks is a difference of versions, unless the record has null in its group.
     """
     found: dict[tuple[str, str], Counter[tuple[str, str]]] = {}
-    places: dict[tuple[str, str], set[Place]] = {}
+    places: dict[tuple[str, str], Counter[Place]] = {}
     for pair in pairs:
         a, b = settings(pair.a.record), settings(pair.b.record)
         a[TRUTH], b[TRUTH] = "A's", truth_in_words(pair)
@@ -104,12 +111,12 @@ def find_causes(pairs: Pairs) -> list[Cause]:
                 if LACKING in (mine, theirs) and _is_newer(key[1], a if mine == LACKING else b):
                     key = VERSION, key[1]
                 found.setdefault(key, Counter())[mine, theirs] += 1
-                places.setdefault(key, set()).add(place_of(pair.a.record))
-    causes = [
-        Cause(*key, values, counts.total(), frozenset(places[key]), alike)
-        for key, counts in found.items()
-        for values, alike in counts.most_common(1)
-    ]
+                places.setdefault(key, Counter())[place_of(pair.a.record)] += 1
+    causes = []
+    for key, counts in found.items():
+        (values, alike), cells = counts.most_common(1)[0], places[key]
+        in_part = frozenset(place for place, number in cells.items() if number < len(pairs.by_place[place]))
+        causes.append(Cause(*key, values, counts.total(), frozenset(cells), alike, in_part))
     kinds = list(KINDS)
     return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells, cause.name != MADE_FROM))
 
@@ -160,8 +167,12 @@ def truth_in_words(pair: ComparedCell) -> str:
 def settings(record: Record) -> dict[tuple[str, str], str]:
     """Return everything behind a cell's scores as text, by kind and dotted name."""
     whole: dict[str, dict[str, Any]] = {
-        PROTOCOL: {"protocol": record.protocol_number}, TRAINING: {}, MACHINE: dict(record.environment)
+        PROTOCOL: {"protocol": record.protocol_number, DATA: record.scene_files},
+        TRAINING: {"made elsewhere": {**(record.made_elsewhere or {}), "summary": None}},
+        MACHINE: dict(record.environment),
     }  # fmt: skip
+    if record.made_elsewhere is None:
+        whole[TRAINING]["files of the prior"] = record.further_files or None
     for kind, fields in ((PROTOCOL, OF_PROTOCOL), (TRAINING, OF_TRAINING)):
         whole[kind] |= {name: getattr(record, name) for name in fields}
     whole[TRAINING]["backend that trained"] = record.backend  # the option may be `auto`

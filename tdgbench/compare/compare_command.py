@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from rich.text import Text
 
 from tdgbench.compare import compared_cells as compared
 from tdgbench.compare.causes import KINDS, Cause, find_causes, in_brief, is_of_times, why_no_times
-from tdgbench.compare.compared_cells import FIRST, IDENTICAL, NOT_COMPARED, ONE_TRAINING, TWO_PROTOCOLS
+from tdgbench.compare.compared_cells import FIRST, IDENTICAL, NOT_COMPARED, ONE_TRAINING, OTHER_DATA, TWO_PROTOCOLS
 from tdgbench.compare.comparison_page import write_page
 from tdgbench.compare.pairs import PLACE, Pairs, find_pairs, place_of
 from tdgbench.files import write_text
@@ -22,6 +23,8 @@ from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import DOUBTS, UNSTATED, AssumedDifference, assumed_differences, doubts_of
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.findings import given_priors
+from tdgbench.tables.likeness import selected_notes
+from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import RecordMeasure, measure_of
 from tdgbench.tables.results import Results, read_results
 from tdgbench.tables.setup_notes import setup_by_name
@@ -34,7 +37,7 @@ MOST_CAUSES = 12  # of a kind, on the terminal
 
 @errors_in_one_line("compare", status=2)
 def main(arguments: list[str]) -> int:
-    """Run the tool; return the exit status: 1 if a verdict is `better` or `worse`, or a score of two protocols."""
+    """Run the tool; return the exit status: 1 if a score is `better` or `worse`, or of two protocols or data."""
     parser = argparse.ArgumentParser(
         prog="tdgbench compare", description="Compare two result folders, cell by cell: of two machines, versions, "
         "backends, settings. Differences are B − A.",
@@ -64,7 +67,7 @@ def shown_paths(a: Path, b: Path) -> tuple[str, str]:
 
 
 def _compare(a: Results, b: Results, names: tuple[str, str], out: Path | None) -> int:
-    pairs = find_pairs(a.finished, b.finished)
+    pairs = find_pairs(a.cells, b.cells)
     if not len(pairs):
         raise ValueError(f"{a.folder} and {b.folder} share no finished cell: none has the same method, scene, initial "
                          "points and seed")  # fmt: skip
@@ -84,7 +87,7 @@ def _compare(a: Results, b: Results, names: tuple[str, str], out: Path | None) -
         write_page(out / "compare.html", names, findings, table, causes, pairs, otherwise)
         say(f"{out / 'compare.csv'}, {out / 'compare.html'}")
     differs = table["verdict"].isin(["better", "worse"]).any()
-    return int(differs or table["reason"].str.startswith((TWO_PROTOCOLS, compared.CHANGED)).any())
+    return int(differs or table["reason"].str.startswith((TWO_PROTOCOLS, OTHER_DATA, compared.CHANGED)).any())
 
 
 def _read(experiment: Path) -> Results:
@@ -122,7 +125,7 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
         cells = int(rows["seeds"].sum())
         found.append(f"all scores that are compared are identical, in {cells} cell{'s' * (cells > 1)}")
         sentences = [sentence for sentence in sentences if NOT_COMPARED in sentence]
-    found += sentences
+    found += [*sentences, *of_failures(pairs)]
     if (table.loc[table["verdict"] == UNDECIDED, "seeds"] == 1).any():
         found.append("one seed has no interval, so its scores are undecided: run both with seed=0,1,2")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
@@ -156,9 +159,17 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     found.append("not checked here: whether the stored ground truth is the data's (tdgbench verify)")
     for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
         if alone:
-            more = f" and {len(alone) - 1} more" if len(alone) > 1 else ""
-            found.append(f"finished in {name} alone: {alone[0].title}{more}")
+            found.append(f"finished in {name} alone: {named(record.title for record in alone)}")
     return found
+
+
+def of_failures(pairs: Pairs) -> list[str]:
+    """Return which cells failed in one experiment and finished in the other: means leave them out."""
+    return [
+        f"failed in {name}, not in {other}: {named(f'{record.title} ({record.why_failed})' for record in failed)}; "
+        "means leave them out"
+        for name, other, failed in (("A", "B", pairs.failed_a), ("B", "A", pairs.failed_b)) if failed
+    ]  # fmt: skip
 
 
 def evidence_of_scores(pairs: Pairs) -> list[str]:
@@ -166,9 +177,12 @@ def evidence_of_scores(pairs: Pairs) -> list[str]:
     trained = [cell.record for pair in pairs for cell in pair]
     priors = [given_priors(getattr(pair, side).record for pair in pairs) for side in ("a", "b")]
     no_more = "no depth prior of more than thermal images"
-    found = priors[0] if priors[0] == priors[1] else [
+    found: list[str] = priors[0] if priors[0] == priors[1] else [
         "; ".join(f"in {name}: {' and '.join(said) or no_more}" for name, said in zip("AB", priors, strict=True))
     ]  # fmt: skip
+    for name, side in (("A", "a"), ("B", "b")):
+        records = (getattr(pair, side).record for pair in pairs)
+        found += [f"in {name}: {note}" for note in selected_notes(records, partial(method_label, with_init=True))]
     doubts = doubts_of(trained)
     found += [f"doubt: {doubt}" for doubt in doubts[:MOST_CAUSES]]
     found += [f"{len(doubts) - MOST_CAUSES} more doubts"] * (len(doubts) > MOST_CAUSES)

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from tdgbench.compare.causes import MACHINE, VERSION, Cause, why_no_times
+from tdgbench.compare.causes import DATA, MACHINE, VERSION, Cause, why_no_times
 from tdgbench.compare.pairs import PLACE, ComparedCell, Pairs, Place
 from tdgbench.present.grid import Grid, GridCell, GridRow
 from tdgbench.scoring.metric import Measure
@@ -31,7 +31,7 @@ from tdgbench.text import first_few, one_line
 
 FIRST = (*OF_TABLES, GAUSSIANS.name)  # numbers that are shown first
 IDENTICAL, EQUIVALENT, NOT_COMPARED = "identical", "equivalent", "not compared"
-TWO_PROTOCOLS = "two protocols"  # begins the reason
+TWO_PROTOCOLS, OTHER_DATA = "two protocols", "other data of the scene"  # begin the reason
 ONE_TRAINING = "nothing was trained twice"
 CHANGED = "a record was changed: of equal renders and ground truth"  # and protocol
 SMALLEST = 1e-4  # spread that is printed
@@ -102,13 +102,10 @@ def _why_not_compared(
             return ""
         is_busy = any(was_disturbed(cell.record) for pair in by_seed.values() for cell in pair)
         return "times of a busy machine" if is_busy else why_no_times(c for c in causes if place in c.places)
-    unlike = [
-        cause.name if cause.varies else cause.change
-        for cause in causes
-        if place in cause.places and metric in cause.scores
-    ]
+    unlike = [cause for cause in causes if place in cause.places and metric in cause.scores]
     if unlike:
-        return f"{TWO_PROTOCOLS} ({'; '.join(unlike)})"
+        changes = "; ".join(cause.name if cause.varies else cause.change for cause in unlike)
+        return f"{OTHER_DATA if all(cause.name == DATA for cause in unlike) else TWO_PROTOCOLS} ({changes})"
     return CHANGED if metric in changed else ""
 
 

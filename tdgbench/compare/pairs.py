@@ -29,11 +29,16 @@ class ComparedCell(NamedTuple):
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs by place and seed, and the records of finished cells that only one experiment has."""
+    """Pairs by place and seed, and the records of cells that finished in one experiment alone.
+
+    failed_a: of A, whose cell finished in B; failed_b: likewise.
+    """
 
     by_place: dict[Place, dict[int, ComparedCell]]
     only_a: list[Record]
     only_b: list[Record]
+    failed_a: list[Record]
+    failed_b: list[Record]
 
     def __iter__(self) -> Iterator[ComparedCell]:
         return (pair for seeds in self.by_place.values() for pair in seeds.values())
@@ -43,11 +48,15 @@ class Pairs:
 
 
 def find_pairs(a: Iterable[Cell], b: Iterable[Cell]) -> Pairs:
-    """Match the finished cells of two experiments."""
-    mine, theirs = ({(place_of(cell.record), cell.record.seed): cell for cell in cells} for cells in (a, b))
+    """Match the cells of two experiments."""
+    cells = [{(place_of(cell.record), cell.record.seed): cell for cell in of_one} for of_one in (a, b)]
+    mine, theirs = ({key: one for key, one in of_one.items() if one.record.failure is None} for of_one in cells)
     by_place: dict[Place, dict[int, ComparedCell]] = {}
     for place, seed in sorted(mine.keys() & theirs.keys()):
         by_place.setdefault(place, {})[seed] = ComparedCell(mine[place, seed], theirs[place, seed])
-    alone = ([cells[key].record for key in sorted(cells.keys() - others.keys())]
-             for cells, others in ((mine, theirs), (theirs, mine)))  # fmt: skip
-    return Pairs(by_place, *alone)
+    only_a, only_b = sorted(mine.keys() - theirs.keys()), sorted(theirs.keys() - mine.keys())
+    return Pairs(
+        by_place, [mine[key].record for key in only_a], [theirs[key].record for key in only_b],
+        [cells[0][key].record for key in only_b if key in cells[0]],
+        [cells[1][key].record for key in only_a if key in cells[1]],
+    )  # fmt: skip

@@ -77,8 +77,8 @@ def cards_of(packs: Sequence[Pack], dataset: str, scene: str) -> list[list[Card]
 
 def _test_views(cell: Cell) -> str:
     """Return what decides the pictures of a cell's test views, whatever its metrics."""
-    settings = protocol_settings(cell.record.config)
-    return json.dumps([cell.record.data, {n: v for n, v in settings.items() if n.startswith("data.")}], sort_keys=True)
+    settings = {n: v for n, v in protocol_settings(cell.record.config).items() if n.startswith("data.")}
+    return json.dumps([cell.record.scene_files, settings], sort_keys=True)
 
 
 def _draw(card: Card, view: str, scale: ColourScale) -> None:

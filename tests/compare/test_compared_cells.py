@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from tdgbench.cells.protocol import protocol_settings
-from tdgbench.cells.record import read_record
+from tdgbench.cells.record import Failure, read_record
 from tdgbench.compare.causes import ADDED, MACHINE, PROTOCOL, TRAINING, VERSION, find_causes, settings
 from tdgbench.compare.compare_command import main
 from tdgbench.compare.compared_cells import CHANGED, score_table
@@ -21,7 +21,7 @@ from tests.helpers.records import record, write
 
 
 def pairs_of(a, b):
-    return find_pairs(*(read_results(folder).finished for folder in (a, b)))
+    return find_pairs(*(read_results(folder).cells for folder in (a, b)))
 
 
 def two_experiments(tmp_path, psnr_a, psnr_b, **extra):
@@ -83,13 +83,60 @@ def test_cells_of_one_experiment_alone_are_named(tmp_path, capsys):
     assert main([str(a), str(b)]) == 0
     out = capsys.readouterr().out
     assert "means are over seed 0, which both have; A has seeds 1, 2 as well, which its tables average" in out
-    assert "finished in A alone: tdg on RGBT-Scenes/Truck, colmap, seed 1 and 1 more" in out
+    assert (
+        "finished in A alone: tdg on RGBT-Scenes/Truck, colmap, seed 1, tdg on RGBT-Scenes/Truck, colmap, seed 2\n"
+        in out
+    )
     assert "finished in B alone: tdg on RGBT-Scenes/Lion" in out
     assert "all scores that are compared are identical, in 1 cell\n" in out
     for folder, psnr in ((a, 30.0), (b, 31.0)):
         write(folder, scene="Hotel", train_scores={"psnr": psnr})
     main([str(a), str(b)])
     assert "all scores that are compared are identical" not in capsys.readouterr().out
+
+
+def test_a_seed_that_failed_on_one_side_is_named(tmp_path, capsys):
+    a, b = two_experiments(tmp_path, [20.0, 21.0, 25.0], [20.0, 21.0])
+    failure = Failure("train", "ValueError: the loss is not finite", "")
+    write(b, seed=2, status="failed", failure=failure, scores={})
+    main([str(a), str(b), "--out", str(tmp_path / "out")])
+    said = (
+        "failed in B, not in A: tdg on RGBT-Scenes/Truck, colmap, seed 2 (failed in train: ValueError: the loss is not "
+        "finite); means leave them out"
+    )
+    assert f"found: {said}\n" in capsys.readouterr().out and said in (tmp_path / "out" / "compare.html").read_text()
+    main([str(b), str(a)])
+    assert "failed in A, not in B: tdg on RGBT-Scenes/Truck, colmap, seed 2" in capsys.readouterr().out
+
+
+def test_files_of_a_prior_are_of_the_training_and_those_of_a_scene_of_the_data(tmp_path, capsys):
+    a, b, c = tmp_path / "a", tmp_path / "b", tmp_path / "c"
+    for folder, data in ((a, "abc"), (b, "abc-1"), (c, "abd")):
+        write(folder, scores={"psnr": 20.0}, data=data)
+    kinds = {cause.name: (cause.kind, cause.values) for cause in find_causes(pairs_of(a, b))}
+    assert kinds["files of the prior"] == (TRAINING, ("null", "1")) and "data" not in kinds
+    assert main([str(a), str(b)]) == 0
+    assert "two protocols" not in capsys.readouterr().out
+    assert main([str(a), str(c)]) == 1
+    assert "found: no score is compared: other data of the scene (data: abc → abd)\n" in capsys.readouterr().out
+
+
+def test_renders_whose_checkpoint_test_views_chose_are_named(tmp_path, capsys):
+    made = {"files": "1", "summary": "elsewhere", "checkpoint_rule": "last"}
+    a, b = tmp_path / "a", tmp_path / "b"
+    write(a, scores={"psnr": 20.0}, made_elsewhere=made)
+    write(b, scores={"psnr": 21.0}, made_elsewhere={**made, "checkpoint_rule": "best_test_view"})
+    main([str(a), str(b)])
+    out = capsys.readouterr().out
+    assert "found: in B: selected: TDg: its checkpoint was chosen by test views" in out and "in A: selected" not in out
+    assert "training: made elsewhere.checkpoint_rule: last → best_test_view" in out
+
+
+def test_a_setting_of_some_seeds_names_where(tmp_path):
+    a, b = two_experiments(tmp_path, [20.0, 21.0], [20.0])
+    write(b, seed=1, scores={"psnr": 21.0}, init_points={"count": 9})
+    (cause,) = (cause for cause in find_causes(pairs_of(a, b)) if cause.name == "init_points.count")
+    assert cause.sentence(2).endswith("(in 1 of 2 cells: TDg on Truck, some of their seeds alone)")
 
 
 def test_what_differs_is_told_by_what_it_decides(tmp_path):
@@ -104,7 +151,7 @@ def test_what_differs_is_told_by_what_it_decides(tmp_path):
     }  # fmt: skip
     assert causes["budget.iterations"].values == ("not recorded", "9")
     assert causes["budget.iterations"].sentence(2) == "budget.iterations: not recorded → 9"
-    assert causes["budget.iterations"].sentence(3).endswith("(in 2 of 3 cells)")
+    assert causes["budget.iterations"].sentence(3).endswith("(in 2 of 3 cells: TDg on Truck)")
 
 
 @pytest.mark.parametrize(
