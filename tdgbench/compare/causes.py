@@ -108,7 +108,7 @@ def find_causes(pairs: Pairs) -> list[Cause]:
         a[TRUTH], b[TRUTH] = "A's", truth_in_words(pair)
         for key, (mine, theirs) in differences([a, b], LACKING).items():
             if {mine, theirs} != {LACKING, "null"}:
-                if LACKING in (mine, theirs) and _is_newer(key[1], a if mine == LACKING else b):
+                if LACKING in (mine, theirs) and _is_newer(key[1], *((a, b) if mine == LACKING else (b, a))):
                     key = VERSION, key[1]
                 found.setdefault(key, Counter())[mine, theirs] += 1
                 places.setdefault(key, Counter())[place_of(pair.a.record)] += 1
@@ -121,11 +121,17 @@ def find_causes(pairs: Pairs) -> list[Cause]:
     return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells, cause.name != MADE_FROM))
 
 
-def _is_newer(name: str, lacking: Mapping[tuple[str, str], str]) -> bool:
-    """Return whether an option is one of the budget that the version of a record without it did not have."""
+def _is_newer(name: str, lacking: Mapping[tuple[str, str], str], having: Mapping[tuple[str, str], str]) -> bool:
+    """Return whether an option is one of the budget that the version of a record without it did not have.
+
+    It is not, where its group is null there, or of another kind.
+    """
     parts = name.split(".")
-    groups = [(TRAINING, ".".join(parts[:n])) for n in range(2, len(parts))]
-    return parts[0] == "budget" and (TRAINING, "budget.iterations") in lacking and not any(g in lacking for g in groups)
+    groups = [".".join(parts[:n]) for n in range(2, len(parts))]
+    is_off = any((TRAINING, group) in lacking for group in groups)
+    kinds = [(TRAINING, f"{group}._target_") for group in groups]
+    is_alike = all(kind not in lacking or lacking[kind] == having.get(kind) for kind in kinds)
+    return parts[0] == "budget" and (TRAINING, "budget.iterations") in lacking and not is_off and is_alike
 
 
 def in_brief(causes: Iterable[Cause]) -> str:

@@ -22,7 +22,7 @@ from tdgbench.packs import opened_pack
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import DOUBTS, UNSTATED, AssumedDifference, assumed_differences, doubts_of
 from tdgbench.tables.columns import own_columns
-from tdgbench.tables.findings import given_priors
+from tdgbench.tables.findings import before_a_plateau, given_priors
 from tdgbench.tables.likeness import selected_notes
 from tdgbench.tables.long_table import method_label
 from tdgbench.tables.measures import RecordMeasure, measure_of
@@ -33,6 +33,7 @@ from tdgbench.terminal import console, errors_in_one_line, say
 from tdgbench.text import named, one_line
 
 MOST_CAUSES = 12  # of a kind, on the terminal
+ESTIMATED = "renders are scored as the estimated thermal camera shows them, where that predicts training views better"
 
 
 @errors_in_one_line("compare", status=2)
@@ -70,7 +71,7 @@ def _compare(a: Results, b: Results, names: tuple[str, str], out: Path | None) -
     pairs = find_pairs(a.cells, b.cells)
     if not len(pairs):
         raise ValueError(f"{a.folder} and {b.folder} share no finished cell: none has the same method, scene, initial "
-                         "points and seed")  # fmt: skip
+                         "points, variant and seed")  # fmt: skip
     causes, otherwise = find_causes(pairs), assumed_differences((pair.a.record, pair.b.record) for pair in pairs)
     table = compared.score_table(pairs, causes)
     findings = [*assumed_in_words(otherwise), *findings_of(table, causes, pairs)]
@@ -183,6 +184,9 @@ def evidence_of_scores(pairs: Pairs) -> list[str]:
     for name, side in (("A", "a"), ("B", "b")):
         records = (getattr(pair, side).record for pair in pairs)
         found += [f"in {name}: {note}" for note in selected_notes(records, partial(method_label, with_init=True))]
+        estimates = {getattr(pair, side).record.setting("thermal_camera.estimate") for pair in pairs}
+        found += [f"in {name}, {ESTIMATED}"] * (True in estimates)
+    found += before_a_plateau(trained)
     doubts = doubts_of(trained)
     found += [f"doubt: {doubt}" for doubt in doubts[:MOST_CAUSES]]
     found += [f"{len(doubts) - MOST_CAUSES} more doubts"] * (len(doubts) > MOST_CAUSES)

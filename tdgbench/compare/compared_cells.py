@@ -24,7 +24,7 @@ from tdgbench.tables.grids import GAUSSIANS_NOTE
 from tdgbench.tables.likeness import was_disturbed
 from tdgbench.tables.long_table import metric_value
 from tdgbench.tables.measures import COLUMNS as OF_TABLES
-from tdgbench.tables.measures import GAUSSIANS, HOURS, RecordMeasure, as_text, known_measures, measure_of
+from tdgbench.tables.measures import GAUSSIANS, HOURS, MEMORY, RecordMeasure, as_text, known_measures, measure_of
 from tdgbench.tables.palette import IMAGES, MARK, image_values, palette_notes
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED, judge_score, load_margins, seeds_interval
 from tdgbench.text import first_few, one_line
@@ -35,6 +35,7 @@ TWO_PROTOCOLS, OTHER_DATA = "two protocols", "other data of the scene"  # begin 
 ONE_TRAINING = "nothing was trained twice"
 CHANGED = "a record was changed: of equal renders and ground truth"  # and protocol
 SMALLEST = 1e-4  # spread that is printed
+USUAL = {"init": "colmap", "variant": ""}  # which readers assume
 COLUMNS = [
     *PLACE, "metric", "seeds", "of_seeds", "a", "b", "difference", "ci90_low", "ci90_high", "margin", "verdict",
     "reason", "repeat_std", "seed_std", IMAGES,
@@ -98,6 +99,8 @@ def _why_not_compared(
     if isinstance(measure_of(metric), RecordMeasure):
         if any(pair.is_one_training for pair in by_seed.values()):
             return ONE_TRAINING
+        if metric == MEMORY.name:
+            return "its process may have compiled, scored or trained more"
         if metric != HOURS.name:
             return ""
         is_busy = any(was_disturbed(cell.record) for pair in by_seed.values() for cell in pair)
@@ -164,8 +167,9 @@ def legend(table: pd.DataFrame) -> list[str]:
 
 
 def place_heads(table: pd.DataFrame) -> list[str]:
-    """Return the columns of PLACE that readers need: scene, method, and what rows differ in."""
-    return [name for name in PLACE if name in ("scene", "method") or table[name].nunique() > 1]
+    """Return the columns of PLACE that readers need: scene, method, what rows differ in, and what is not usual."""
+    unusual = {name for name, value in USUAL.items() if (table[name] != value).any()}
+    return [name for name in PLACE if name in ("scene", "method") or name in unusual or table[name].nunique() > 1]
 
 
 def place_in_words(place: Place, heads: Sequence[str]) -> str:

@@ -132,6 +132,37 @@ def test_renders_whose_checkpoint_test_views_chose_are_named(tmp_path, capsys):
     assert "training: made elsewhere.checkpoint_rule: last → best_test_view" in out
 
 
+def test_rows_name_initial_points_and_variants_that_are_not_usual(tmp_path, capsys):
+    a, b = two_experiments(tmp_path, [], [])
+    for folder in (a, b):
+        write(folder, scores={"psnr": 20.0}, init="random", variant="budget.sh_degree=0")
+    main([str(a), str(b)])
+    out = capsys.readouterr().out
+    assert "random" in out and "budget.sh_degree=0" in out
+
+
+def test_options_of_another_kind_of_group_are_no_difference_of_versions(tmp_path):
+    def config(kind, **more):
+        return {"budget": {"name": "paper", "iterations": 9, "density": {"_target_": kind, **more}}}
+
+    a, b = tmp_path / "a", tmp_path / "b"
+    write(a, config=config("DensityRules"))
+    write(b, config=config("RelocationRules", noise=5.0))
+    kinds = {cause.name: cause.kind for cause in find_causes(pairs_of(a, b))}
+    assert kinds["budget.density.noise"] == kinds["budget.density._target_"] == TRAINING
+    write(tmp_path / "c", config=config("DensityRules", noise=5.0))
+    kinds = {cause.name: cause.kind for cause in find_causes(pairs_of(a, tmp_path / "c"))}
+    assert kinds == {"budget.density.noise": VERSION}
+
+
+def test_memory_is_not_compared_and_an_estimated_camera_is_said(tmp_path, capsys):
+    a, b = two_experiments(tmp_path, [20.0], [20.0], config={"thermal_camera": {"estimate": True}}, peak_rss_mb=900)
+    assert rows_of(a, b).loc["memory_mb", "verdict"] == "not compared"
+    main([str(a), str(b)])
+    out = capsys.readouterr().out
+    assert "found: in B, renders are scored as the estimated thermal camera shows them" in out and "in A, " not in out
+
+
 def test_a_setting_of_some_seeds_names_where(tmp_path):
     a, b = two_experiments(tmp_path, [20.0, 21.0], [20.0])
     write(b, seed=1, scores={"psnr": 21.0}, init_points={"count": 9})
