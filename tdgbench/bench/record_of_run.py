@@ -22,7 +22,7 @@ from tdgbench.cells.record import (
 )
 from tdgbench.scenes import Scene
 from tdgbench.scenes.images import in_pseudo_colour
-from tdgbench.scenes.view_images import PALETTE
+from tdgbench.scenes.scene import PALETTE
 from tdgbench.scoring import Scorer
 from tdgbench.text import shortened
 from tdgbench.training.budget import account

@@ -13,6 +13,7 @@ from tdgbench.cells.record import Record
 from tdgbench.compare.pairs import ComparedCell, Pairs, Place, place_of
 from tdgbench.scoring import METRICS
 from tdgbench.tables import likeness, methods
+from tdgbench.tables.long_table import planned_iterations
 from tdgbench.tables.measures import known_measures, measure_of
 from tdgbench.text import as_typed, named, one_line
 
@@ -25,7 +26,7 @@ KINDS = {
 }
 DATA = "data"  # of the scene
 OF_PROTOCOL = MEASURED_ON  # fields of Record
-OF_TRAINING = ("iterations", "code", "prior", "init_points")
+OF_TRAINING = ("code", "prior", "init_points")
 PROTOCOL_OPTIONS = ("dataset", "metrics")  # groups of the configuration
 # the last says where weights are, not which
 OF_VERSION = ("git.commit", "git.dirty", "packages.tdgbench", "metrics.lpips.weights")
@@ -33,6 +34,7 @@ NAME = "metrics.convention"  # of other options of metrics
 ADDED = "metrics.extra"  # changes no other score
 TRUTH = PROTOCOL, "ground truth"
 LACKING = "not recorded"
+PLANNED = "budget.iterations"
 OF_TIMES = (*likeness.MACHINE.values(), "cores", "simd_lanes")  # fields of a record's environment
 MADE_FROM = "prior.made_from"  # first of the options of a prior, with its values
 LONGEST = 12  # characters of a value that a sentence prints
@@ -107,7 +109,7 @@ def find_causes(pairs: Pairs) -> list[Cause]:
         a, b = settings(pair.a.record), settings(pair.b.record)
         a[TRUTH], b[TRUTH] = "A's", truth_in_words(pair)
         for key, (mine, theirs) in differences([a, b], LACKING).items():
-            if {mine, theirs} != {LACKING, "null"}:
+            if {mine, theirs} != {LACKING, "null"} and key != (TRAINING, PLANNED):  # `iterations` says it
                 if LACKING in (mine, theirs) and _is_newer(key[1], *((a, b) if mine == LACKING else (b, a))):
                     key = VERSION, key[1]
                 found.setdefault(key, Counter())[mine, theirs] += 1
@@ -131,15 +133,12 @@ def _is_newer(name: str, lacking: Mapping[tuple[str, str], str], having: Mapping
     is_off = any((TRAINING, group) in lacking for group in groups)
     kinds = [(TRAINING, f"{group}._target_") for group in groups]
     is_alike = all(kind not in lacking or lacking[kind] == having.get(kind) for kind in kinds)
-    return parts[0] == "budget" and (TRAINING, "budget.iterations") in lacking and not is_off and is_alike
+    return parts[0] == "budget" and (TRAINING, PLANNED) in lacking and not is_off and is_alike
 
 
 def in_brief(causes: Iterable[Cause]) -> str:
-    """Return the first changes of some causes; the budget's iterations once, where those trained differ too."""
-    names = {cause.name: cause for cause in causes}
-    if "iterations" in names:
-        names.pop("budget.iterations", None)
-    return named(cause.brief for cause in names.values())
+    """Return the first changes of some causes."""
+    return named(cause.brief for cause in causes)
 
 
 def is_of_times(cause: Cause) -> bool:
@@ -154,7 +153,7 @@ def why_no_times(causes: Iterable[Cause]) -> str:
         return in_brief(images)
     of_machine = [cause for cause in causes if is_of_times(cause)]
     trained = [cause for cause in causes if cause.kind == TRAINING and cause.name != "code"]
-    if any(cause.name == "budget.iterations" for cause in trained) or (trained and of_machine):
+    if any(cause.name == "iterations" for cause in trained) or (trained and of_machine):
         return in_brief(sorted([*of_machine, *trained], key=lambda cause: "iterations" not in cause.name))
     return ""
 
@@ -182,6 +181,7 @@ def settings(record: Record) -> dict[tuple[str, str], str]:
     for kind, fields in ((PROTOCOL, OF_PROTOCOL), (TRAINING, OF_TRAINING)):
         whole[kind] |= {name: getattr(record, name) for name in fields}
     whole[TRAINING]["backend that trained"] = record.backend  # the option may be `auto`
+    whole[TRAINING]["iterations"] = planned_iterations(record)  # after how many a rule ends it is an outcome
     for group, options in record.config.items():
         of_kind = whole[PROTOCOL if group in PROTOCOL_OPTIONS else TRAINING]
         both = isinstance(options, dict) and isinstance(of_kind.get(group), dict)

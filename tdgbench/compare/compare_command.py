@@ -24,7 +24,7 @@ from tdgbench.tables.assumptions import DOUBTS, UNSTATED, AssumedDifference, ass
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.findings import before_a_plateau, given_priors
 from tdgbench.tables.likeness import selected_notes
-from tdgbench.tables.long_table import method_label
+from tdgbench.tables.long_table import iterations_in_words, method_label, planned_iterations
 from tdgbench.tables.measures import RecordMeasure, measure_of
 from tdgbench.tables.results import Results, read_results
 from tdgbench.tables.setup_notes import setup_by_name
@@ -153,6 +153,7 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
         what = in_brief(of_kind) if "" in scopes else ", ".join(sorted(scopes))
         kinds += [f"{kind} ({what})"] if of_kind else []
     found.append(f"what differs: {', '.join(kinds)}" if kinds else "settings, data, code and machine are the same")
+    found += of_ends(pairs)
     of_both = [setup_by_name([getattr(pair, side).record for pair in pairs], timed=True) for side in ("a", "b")]
     shared = [f"{name}: {value}" for name, value in of_both[0].items() if of_both[1].get(name) == value]
     found += [f"the same in both, of the cells that are compared: {'; '.join(shared)}"] * bool(shared)
@@ -165,12 +166,22 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
 
 
 def of_failures(pairs: Pairs) -> list[str]:
-    """Return which cells failed in one experiment and finished in the other: means leave them out."""
+    """Return which cells failed in one experiment or both: means leave them out."""
     return [
-        f"failed in {name}, not in {other}: {named(f'{record.title} ({record.why_failed})' for record in failed)}; "
-        "means leave them out"
-        for name, other, failed in (("A", "B", pairs.failed_a), ("B", "A", pairs.failed_b)) if failed
+        f"failed in {where}: {named(f'{one.title} ({one.why_failed})' for one in failed)}; means leave them out"
+        for where, failed in (
+            ("A, not in B", pairs.failed_a), ("B, not in A", pairs.failed_b), ("A and B", pairs.failed_both)
+        ) if failed
     ]  # fmt: skip
+
+
+def of_ends(pairs: Pairs) -> list[str]:
+    """Return after how many iterations rules ended trainings of equal plans, where that differs."""
+    ends = [[getattr(pair, side).record for pair in pairs] for side in ("a", "b")]
+    is_other = any(a.iterations != b.iterations and planned_iterations(a) == planned_iterations(b)
+                   for a, b in zip(*ends, strict=True))  # fmt: skip
+    words = " in A, ".join(iterations_in_words(records) for records in ends)
+    return [f"rules ended trainings after {words} in B, iterations: an outcome, no setting"] * is_other
 
 
 def evidence_of_scores(pairs: Pairs) -> list[str]:

@@ -290,7 +290,8 @@ def _verdicts_of(measure: Measure, group: pd.DataFrame, pairs: Pairs, places: st
         values = np.array([[_values(by_seed[seed], measure.name) for seed in common] for by_seed in by_place])
         found = _difference(np.diff(values).mean(axis=(0, 2))) if common else Difference(compared["difference"].mean())
         text += f"; B − A {difference_as_text(measure.name, found.mean)}{measure.suffix}"
-        text += " on average" if len(compared) > 1 else ""
+        marked = image_values(cell.record for by_seed in by_place for pair in by_seed.values() for cell in pair)
+        text += f" on average{f' ({marked})' * bool(marked)}" if len(compared) > 1 else ""
         text += ", the identical ones too" if (compared["verdict"] == IDENTICAL).any() else ""
         if any(set(by_seed) != set(common) for by_seed in by_place):
             text += f", over seed{'s' * (len(common) > 1)} {', '.join(map(str, common))}, which all have" * bool(common)

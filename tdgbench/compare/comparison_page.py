@@ -63,7 +63,9 @@ def picture(title: str, pair: ComparedCell) -> dict[str, object]:
         view = _most_different(pair)
         a, b = (cell.pictures(view) for cell in pair)
         if a.render.shape != b.render.shape:
-            raise ValueError(f"the renders have {a.render.shape[:2]} and {b.render.shape[:2]} pixels")
+            sizes = ("×".join(map(str, (width, height, *channels)))
+                     for height, width, *channels in (a.render.shape, b.render.shape))  # fmt: skip
+            raise ValueError(f"the renders have {' and '.join(sizes)} values")
         if pair.a.record.temperature_range != pair.b.record.temperature_range:
             raise ValueError("their values span other temperatures, so that no scale of colours holds for both")
     except (OSError, ValueError) as error:

@@ -31,7 +31,7 @@ class ComparedCell(NamedTuple):
 class Pairs:
     """Pairs by place and seed, and the records of cells that finished in one experiment alone.
 
-    failed_a: of A, whose cell finished in B; failed_b: likewise.
+    failed_a: of A, whose cell finished in B; failed_b: likewise. failed_both: of A, of cells that failed in both.
     """
 
     by_place: dict[Place, dict[int, ComparedCell]]
@@ -39,6 +39,7 @@ class Pairs:
     only_b: list[Record]
     failed_a: list[Record]
     failed_b: list[Record]
+    failed_both: list[Record]
 
     def __iter__(self) -> Iterator[ComparedCell]:
         return (pair for seeds in self.by_place.values() for pair in seeds.values())
@@ -59,4 +60,6 @@ def find_pairs(a: Iterable[Cell], b: Iterable[Cell]) -> Pairs:
         by_place, [mine[key].record for key in only_a], [theirs[key].record for key in only_b],
         [cells[0][key].record for key in only_b if key in cells[0]],
         [cells[1][key].record for key in only_a if key in cells[1]],
+        [one.record for key, one in sorted(cells[0].items(), key=lambda item: item[0])
+         if key not in mine and key in cells[1] and key not in theirs],
     )  # fmt: skip

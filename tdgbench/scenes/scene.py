@@ -15,6 +15,7 @@ from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.outliers import outlying
 
+PALETTE = "palette (pseudo-colour), not temperature"  # as `values` of Scene.assumed
 MAX_STEP = 1e-3  # largest step between float32 coordinates, as a share of the scene's extent
 
 
@@ -39,12 +40,13 @@ class Tracks(NamedTuple):
 
 @dataclass(frozen=True)
 class PointCloud:
-    """Sparse points from structure from motion."""
+    """Points of a scene: of structure from motion, of stereo, or drawn at random."""
 
     points: np.ndarray  # (N, 3) float64, world
     colors: np.ndarray  # (N, 3) float32 in [0, 1]
     tracks: Tracks | None = None  # None: not known
     ids: np.ndarray | None = None  # (N,) uint64, ascending, in the COLMAP model
+    is_measured: bool = True  # False: drawn at random
 
 
 @dataclass(frozen=True)
@@ -151,6 +153,11 @@ class Scene:
         for change in changes:
             digest.update(b"\0" + change)
         return digest.hexdigest()[: len(self.fingerprint)]
+
+    @property
+    def in_palette(self) -> bool:
+        """Whether its files are pseudo-colour, also if it has been made gray: its values are no temperatures."""
+        return self.assumed.get("values") == PALETTE
 
     @property
     def views(self) -> list[View]:

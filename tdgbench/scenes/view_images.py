@@ -14,11 +14,10 @@ from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats import Header, decode
 from tdgbench.scenes.images import is_gray, resize, unit_image, with_channels
-from tdgbench.scenes.scene import TemperatureRange
+from tdgbench.scenes.scene import PALETTE, TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 
 ASPECT_TOLERANCE = 0.01
-PALETTE = "palette (pseudo-colour), not temperature"
 UNMEASURED = 0.0  # image value of pixels that are not valid
 
 

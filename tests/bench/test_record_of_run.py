@@ -9,7 +9,7 @@ import pytest
 
 from tdgbench.bench.record_of_run import GRAY, state_assumptions, state_values
 from tdgbench.cells.record import PALETTE, read_all, read_record, schema_problems
-from tdgbench.scenes.view_images import PALETTE as OF_SCENES
+from tdgbench.scenes.scene import PALETTE as OF_SCENES
 from tdgbench.text import absolute_paths
 from tests.helpers.records import record
 

@@ -109,6 +109,25 @@ def test_a_seed_that_failed_on_one_side_is_named(tmp_path, capsys):
     assert "failed in A, not in B: tdg on RGBT-Scenes/Truck, colmap, seed 2" in capsys.readouterr().out
 
 
+def test_a_seed_that_failed_on_both_sides_is_named(tmp_path, capsys):
+    a, b = two_experiments(tmp_path, [20.0], [20.0])
+    for folder in (a, b):
+        write(folder, seed=1, status="failed", failure=Failure("train", "ValueError: no", ""), scores={})
+    main([str(a), str(b)])
+    assert "failed in A and B: tdg on RGBT-Scenes/Truck, colmap, seed 1 (failed in train" in capsys.readouterr().out
+
+
+def test_where_rules_ended_trainings_is_an_outcome(tmp_path, capsys):
+    config = {"budget": {"name": "lean", "iterations": 900}}
+    a, b = tmp_path / "a", tmp_path / "b"
+    for folder, iterations in ((a, 300), (b, 400)):
+        write(folder, scores={"psnr": 20.0}, config=config, iterations=iterations)
+    assert not find_causes(pairs_of(a, b))
+    main([str(a), str(b)])
+    said = "rules ended trainings after 300 of at most 900 in A, 400 of at most 900 in B, iterations: an outcome"
+    assert said in capsys.readouterr().out
+
+
 def test_files_of_a_prior_are_of_the_training_and_those_of_a_scene_of_the_data(tmp_path, capsys):
     a, b, c = tmp_path / "a", tmp_path / "b", tmp_path / "c"
     for folder, data in ((a, "abc"), (b, "abc-1"), (c, "abd")):
@@ -177,12 +196,12 @@ def test_what_differs_is_told_by_what_it_decides(tmp_path):
     )
     causes = {cause.name: cause for cause in find_causes(pairs_of(a, b))}
     assert {name: cause.kind for name, cause in causes.items()} == {
-        "metrics.ssim_border": PROTOCOL, "budget._target_": TRAINING, "budget.iterations": TRAINING,
+        "metrics.ssim_border": PROTOCOL, "budget._target_": TRAINING,
+        "iterations": TRAINING,
         "packages.torch": MACHINE,
     }  # fmt: skip
-    assert causes["budget.iterations"].values == ("not recorded", "9")
-    assert causes["budget.iterations"].sentence(2) == "budget.iterations: not recorded → 9"
-    assert causes["budget.iterations"].sentence(3).endswith("(in 2 of 3 cells: TDg on Truck)")
+    assert causes["iterations"].values == ("0", "9") and causes["iterations"].sentence(2) == "iterations: 0 → 9"
+    assert causes["iterations"].sentence(3).endswith("(in 2 of 3 cells: TDg on Truck)")
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from tdgbench.cells.plan import Plan
-from tdgbench.scenes.view_images import PALETTE
+from tdgbench.scenes.scene import PALETTE
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.palette import IN_SOME, WORDS, palette_notes
 from tdgbench.tables.show import show_tables

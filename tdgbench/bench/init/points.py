@@ -72,7 +72,7 @@ class RandomPoints:
         rng = np.random.default_rng([self.seed, 0x1D])
         low, high = self.box(scene)
         points = rng.uniform(low, high, (self.count, 3))
-        return PointCloud(points, self.colors(rng))
+        return PointCloud(points, self.colors(rng), is_measured=False)
 
     def box(self, scene: Scene) -> np.ndarray:
         """Return the lowest and highest corner of the box (2, 3), world units."""

@@ -91,7 +91,7 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
 
 def _range_of(clean: Scene) -> TemperatureRange:
     """Return the range of a scene that is gray and in °C. Raises SceneError for another."""
-    colored = in_pseudo_colour(clean.views)
+    colored = clean.in_palette or in_pseudo_colour(clean.views)
     if clean.temperature is None or colored:
         why = "pseudo-colour" if colored else "no temperature range; set data.temperature=[MIN,MAX]"
         raise SceneError(f"{clean.name} has {why}: errors in °C can be added to gray images of temperatures alone")

@@ -16,6 +16,7 @@ from tdgbench.scoring.scored_view import NotApplicableError, RenderedImages, Sco
 
 MIN_MSE = 10 ** (-MAX_PSNR / 10)
 SMALLEST = 1e-6  # °C
+IN_PALETTE = "the thermal images are pseudo-colour, which is not a linear temperature scale"
 
 
 def differences(shown: ScoredView) -> np.ndarray:
@@ -24,8 +25,8 @@ def differences(shown: ScoredView) -> np.ndarray:
         raise NotApplicableError("raw counts have no °C")
     if shown.scene is None or shown.scene.temperature is None:
         raise NotApplicableError("the scene has no temperature range (temperature.json)")
-    if shown.scene.channels != 1:
-        raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
+    if shown.scene.channels != 1 or shown.scene.in_palette:
+        raise NotApplicableError(IN_PALETTE)
     image, target = shown.pair("thermal").pixels
     span = shown.scene.temperature.max - shown.scene.temperature.min
     return np.asarray((image - target).astype(np.float64) * span)
@@ -51,6 +52,8 @@ def psnr_true(shown: ScoredView) -> float:
     scene = shown.scene
     if scene is None:
         raise NotApplicableError("training views have no score against true temperatures")
+    if scene.in_palette:
+        raise NotApplicableError(IN_PALETTE)
     if any(view.load_true_temperature is None for view in scene.test):
         raise NotApplicableError("the scene has no true temperatures, or its images are not linear in temperature")
     valid = shown.valid
@@ -73,7 +76,7 @@ class Scale(NamedTuple):
 def _scale(views: Sequence[View], renders: Mapping[str, RenderedImages]) -> Scale:
     """Return the scale of a scene's renders, and the span of its test views, of which one has a valid pixel."""
     if in_pseudo_colour(views):
-        raise NotApplicableError("the thermal images are pseudo-colour, which is not a linear temperature scale")
+        raise NotApplicableError(IN_PALETTE)
     sums, low, high = np.zeros(5), np.inf, -np.inf
     for view in views:  # one after the other: all of them at once are a lot of memory
         x, y = _pair(view, renders[view.name], view.valid)

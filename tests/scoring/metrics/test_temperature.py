@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
+from tdgbench.scenes.scene import PALETTE
 from tdgbench.scoring import RenderedImages
 from tdgbench.scoring.metrics.temperature import psnr_true
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
@@ -51,6 +52,9 @@ def test_it_is_not_measured_without_truth(small_gray_scene, small_scene):
         scores(replace(small_gray_scene, test=unknown), as_images(small_gray_scene))
     with pytest.raises(NotApplicableError, match="pseudo-colour"):
         scores(small_scene, {view.name: view.thermal for view in small_scene.test})
+    with pytest.raises(NotApplicableError, match="pseudo-colour"):  # made gray
+        made_gray = replace(small_gray_scene, assumed={"values": PALETTE})
+        scores(made_gray, as_images(made_gray))
     with pytest.raises(NotApplicableError, match="another size"):
         scores(small_gray_scene, {view.name: view.thermal[1:] for view in small_gray_scene.test})
 
