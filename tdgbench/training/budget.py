@@ -13,11 +13,13 @@ from tdgbench.training.early_harmonics import HarmonicsRule
 from tdgbench.training.growth import GrowthRule
 from tdgbench.training.pixels import PixelRule
 from tdgbench.training.plateau import PlateauRule
+from tdgbench.training.points import PointRule
 from tdgbench.training.rule import Rule
 from tdgbench.training.settling import SettlingRule
 from tdgbench.training.skips import Finished, Skip, Skips, account_switches
 
-__all__ = ["RULES", "SKIP_RULES", "Budget", "GrowthRule", "HarmonicsRule", "PixelRule", "PlateauRule", "SettlingRule"]
+__all__ = ["RULES", "SKIP_RULES", "Budget", "GrowthRule", "HarmonicsRule", "PixelRule", "PlateauRule", "PointRule",
+           "SettlingRule"]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ class Budget:
     background: Literal["black", "mean"] = "black"  # behind the Gaussians; mean: of the training images
     lift_dark_every: PositiveInt | None = None  # iterations of SH degree 0 between calls of `Adam.lift_dark`
     harmonics: HarmonicsRule | None = None  # where the SH degree rises sooner; None: nowhere
+    points: PointRule | None = None  # with which a training begins; None: all initial ones
     growth: GrowthRule | None = None  # what grows; None: by the gradients' threshold of `density`
     pixels: PixelRule | None = None  # resolution of the images; None: full from the start
     settling: SettlingRule | None = None  # when to stop, by held-out views; None: by `plateau`

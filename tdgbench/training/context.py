@@ -90,6 +90,7 @@ class Context:
     _adaptations: dict[str, list[Callable[[BudgetFields], BudgetFields]]] = field(
         default_factory=dict, init=False, repr=False
     )
+    _kept_points: dict[str, np.ndarray] = field(default_factory=dict, init=False, repr=False)  # by modality
     _streams: int = field(default=0, init=False, repr=False)
 
     def curriculum(self, modality: str) -> Curriculum:
@@ -101,12 +102,21 @@ class Context:
         if is_other and not any(rule.watches_modalities for rule in rules):
             return self.curriculum(self.modality)
         if modality not in self.curricula:
-            images, points = MODALITIES[modality], len(self.points.points)
+            images, points = MODALITIES[modality], int(self.kept_points(modality).sum())
             low = [one for rule in rules for one in rule.resolutions(views, images, points, self.budget.iterations)]
             held_out = [view for rule in rules for view in rule.held_out(views)]
             name = f"{modality}_curriculum" if is_other else "curriculum"
             self.curricula[modality] = self.add_part(name, Curriculum(low, held_out))
         return self.curricula[modality]
+
+    def kept_points(self, modality: str) -> np.ndarray:
+        """Return which of the initial points, (N,) bool, models of a modality begin with; random ones are all kept."""
+        if modality not in self._kept_points:
+            points, views, images = self.points.points, self.scene.train, MODALITIES[modality]
+            rules = self.budget.active_rules if self.points.is_measured else []
+            kept = [rule.kept_points(points, views, images) for rule in rules]
+            self._kept_points[modality] = np.logical_and.reduce([np.ones(len(points), bool), *kept])
+        return self._kept_points[modality]
 
     def adapted(self, budget: Budget, modality: str) -> Budget:
         """Return a budget as the stage's rules change it for models of a modality."""
@@ -166,22 +176,27 @@ class Context:
     ) -> SplatModel:
         """Make Gaussians that are trained on the images of a modality. name: by default that of the modality.
 
-        start: by default Gaussians at the initial points. extra_fields: further fields (N, ...) of these; each needs a
-        learning rate. learning_rates: of fields, instead of the budget's: a number (0: frozen), or the parameter whose
-        rate it shares. position_unit: of the means' learning rate, world units; by default the scene's extent.
+        start: by default Gaussians at the initial points that the rules keep. extra_fields: further fields (N, ...) of
+        these, of which none is left out then; each needs a learning rate. learning_rates: of fields, instead of the
+        budget's: a number (0: frozen), or the parameter whose rate it shares. position_unit: of the means' learning
+        rate, world units; by default the scene's extent.
         budget: its SH degree, rates and density control are used; by default the stage's budget, whose length it has.
         """
-        budget, images = self.adapted(budget or self.budget, modality), MODALITIES[modality]
+        budget, images, left_out = self.adapted(budget or self.budget, modality), MODALITIES[modality], 0
         stream = RandomStream(self._seed())
         if start is None:
             channels = images.channels(self.scene)
-            start = gaussians_from_points(self.points.points, self.points.colors, channels, budget.sh_degree)
+            points, colors = self.points.points, self.points.colors
+            kept = self.kept_points(modality) if extra_fields is None else np.ones(len(points), bool)
+            start = gaussians_from_points(points[kept], colors[kept], channels, budget.sh_degree)
+            left_out = len(points) - len(start)
         start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self.background(modality), self.rig if images is THERMAL else None
         growth = self._growth(modality, background, rig)
         options = ModelOptions(name or modality, rig, growth, background, learning_rates or {}, position_unit)
         start = start.map(lambda tensor: tensor.to(self.device))
         model = SplatModel(start, budget, self.scene.extent, self.backend, stream.generator, self.skips, options)
+        model.work.points_left_out = left_out
         self._modality_of[options.name] = modality
         return self.add_part(options.name, model)
 

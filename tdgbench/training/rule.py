@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
 from torch import Tensor
 
 from tdgbench.scenes import Camera, Scene, View
@@ -62,6 +63,13 @@ class Rule:
         views: training views. gaussians: their number at the start. iterations: of the stage.
         """
         return []
+
+    def kept_points(self, points: np.ndarray, views: Sequence[View], images: Modality) -> np.ndarray:
+        """Return with which of the measured points (N, 3) models of a modality begin, (N,) bool.
+
+        views: training views.
+        """
+        return np.ones(len(points), bool)
 
     def adaptation(self, scene: Scene, images: Modality) -> Callable[[BudgetFields], BudgetFields]:
         """Return a function from the budget of models of a modality to what they train with instead; nothing here."""

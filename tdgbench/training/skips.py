@@ -96,6 +96,7 @@ class Work:
     pruned: int = 0
     relocated: int = 0
     not_grown: int = 0
+    points_left_out: int = 0  # initial ones
 
     def add(self, gradients: Gradients | PendingGradients, count: int) -> None:
         """Add the backward pass of a view of `count` Gaussians; `touched` is added later."""

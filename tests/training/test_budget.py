@@ -41,7 +41,7 @@ def test_schedules_of_methods_do_not_outlast_a_training():
 
 
 def test_the_published_protocol_has_no_rule():
-    assert list(RULES) == ["harmonics", "growth", "pixels", "settling", "plateau"]
+    assert list(RULES) == ["harmonics", "points", "growth", "pixels", "settling", "plateau"]
     assert {name: config("budget=paper").budget[name] for name in RULES} == dict.fromkeys(RULES)
 
 

@@ -100,3 +100,28 @@ def test_a_budget_is_shared_out_among_stages(small_scene):
     stage = whole.for_stage(1, 0.25).budget
     assert (stage.iterations, stage.expected_iterations) == (300, 150)
     assert whole.for_stage(0, 1.0).budget == budget and whole.for_stage(0, 1e-9).budget.iterations == 1
+
+
+POINT_RULE = ("budget=demo", "+budget.points={_target_:tdgbench.training.budget.PointRule,z:8,largest:16,most:1.0}")
+
+
+def test_models_begin_with_the_points_that_are_kept(small_scene):
+    context = context_of(small_scene, *POINT_RULE)
+    total = len(small_scene.points.points)
+    thermal, rgb = context.gaussians(), context.gaussians("rgb")
+    assert 10 < len(thermal) < total and len(thermal) == context.kept_points("thermal").sum()
+    assert len(rgb) == context.kept_points("rgb").sum() != len(thermal)
+    assert thermal.work.points_left_out == total - len(thermal)
+    assert len(context_of(small_scene).gaussians()) == total  # `demo` has no such rule
+
+
+def test_random_points_and_those_with_further_fields_are_all_kept(small_scene):
+    context = context_of(small_scene, *POINT_RULE)
+    total = len(small_scene.points.points)
+    with_field = context.gaussians(
+        extra_fields={"more": torch.zeros(total, 1)}, learning_rates={"more": 0.1}, name="second"
+    )
+    assert len(with_field) == total and with_field.work.points_left_out == 0
+    context.points = replace(small_scene.points, is_measured=False)
+    context._kept_points.clear()
+    assert len(context.gaussians(name="third")) == total

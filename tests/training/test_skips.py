@@ -139,3 +139,11 @@ def test_each_rule_can_be_switched_off_alone(small_gray_scene, name):
     assert (trainer.gaussians["thermal"].decide_growth is None) == (name == "growth")
     assert (trainer.context.curriculum("thermal").resolutions == []) == (name == "pixels")
     assert (trainer.context.curriculum("thermal").held_out == []) == (name == "settling")
+
+
+def test_points_that_are_left_out_are_counted(small_gray_scene):
+    found, trainer = after_lean(small_gray_scene, "budget.points.most=1.0")
+    left_out = trainer.gaussians["thermal"].work.points_left_out
+    assert found["points"].taken and found["points"].saved == f"{left_out} initial points" and left_out > 0
+    found, trainer = after_lean(small_gray_scene, "budget.points=null")
+    assert not found["points"].taken and trainer.gaussians["thermal"].work.points_left_out == 0
