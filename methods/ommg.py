@@ -31,6 +31,7 @@ class OMMG(GaussianSplatting):
 
     modalities = ("thermal", "rgb")
     renders_plain_gaussians = False
+    keeps_all_points = True
 
     def setup(self, context: Context) -> None:
         points, degree = context.points, context.budget.sh_degree

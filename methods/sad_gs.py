@@ -43,6 +43,7 @@ class SADGS(Method):
     """L = λ_image ((1 − λ_ssim) L1 + λ_ssim (1 − SSIM)) + L_free. Lengths are in metres."""
 
     needs_prior = True
+    keeps_all_points = True
 
     lambda_ssim: Share
     lambda_image: NonNegativeFloat

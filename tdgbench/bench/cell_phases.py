@@ -147,7 +147,7 @@ class CellRun(SetupObserver):
         describe_scene(self.record, scene, scorer, self.cfg.backend.name)
         priors = self._prior_cache()
         ready = set_up(self.cfg, scene, method=cell.method, skips=cell.skips, prior_cache=priors, observer=self)
-        span, is_gray = ready.scored.temperature, ready.scored.channels == 1 and not ready.scored.in_palette
+        span, is_gray = ready.scored.temperature, ready.scored.channels == 1
         self.record.temperature_range = None if span is None or not is_gray else [span.min, span.max]
         self._warn_if_slow(ready.trainer)
         method = ready.trainer.method

@@ -89,7 +89,7 @@ def set_up(
     with observer.phase("init"):
         init: InitialPoints = instantiate(cfg.init.points)
         cloud = init.points(ideal)
-        context = Context(ideal, cloud, priors, budget, backend, int(cfg.seed), skips)
+        context = Context(ideal, cloud, priors, budget, backend, int(cfg.seed), skips, method.keeps_all_points)
         observer.note("init_points", init.describe(ideal, cloud))
     if compiles and method.trains:
         with observer.phase("compile"):

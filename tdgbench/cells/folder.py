@@ -191,7 +191,7 @@ class CellFolder:
         return Scene(
             record.scene, record.dataset, record.group, train=[], test=[self.view(name) for name in self.test_cameras],
             points=None, temperature=None if span is None else TemperatureRange(*span), split=record.split,
-            fingerprint=record.data, channels=record.channels,
+            fingerprint=record.data, channels=record.channels, assumed=record.assumed,
         )  # fmt: skip
 
     def view(self, name: str) -> View:

@@ -180,6 +180,8 @@ def settings(record: Record) -> dict[tuple[str, str], str]:
         whole[TRAINING]["files of the prior"] = record.further_files or None
     for kind, fields in ((PROTOCOL, OF_PROTOCOL), (TRAINING, OF_TRAINING)):
         whole[kind] |= {name: getattr(record, name) for name in fields}
+    if record.in_palette:  # which earlier versions gave the range of its files where it was made gray
+        whole[PROTOCOL]["temperature_range"] = None
     whole[TRAINING]["backend that trained"] = record.backend  # the option may be `auto`
     whole[TRAINING]["iterations"] = planned_iterations(record)  # after how many a rule ends it is an outcome
     for group, options in record.config.items():

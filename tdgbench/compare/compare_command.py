@@ -159,9 +159,9 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
     found += [f"the same in both, of the cells that are compared: {'; '.join(shared)}"] * bool(shared)
     found += evidence_of_scores(pairs)
     found.append("not checked here: whether the stored ground truth is the data's (tdgbench verify)")
-    for name, alone in (("A", pairs.only_a), ("B", pairs.only_b)):
-        if alone:
-            found.append(f"finished in {name} alone: {named(record.title for record in alone)}")
+    for name, alone, failed in (("A", pairs.only_a, pairs.failed_b), ("B", pairs.only_b, pairs.failed_a)):
+        if titles := {record.title: None for record in alone}.keys() - {record.title for record in failed}:
+            found.append(f"finished in {name} alone: {named(sorted(titles))}")
     return found
 
 
@@ -177,11 +177,15 @@ def of_failures(pairs: Pairs) -> list[str]:
 
 def of_ends(pairs: Pairs) -> list[str]:
     """Return after how many iterations rules ended trainings of equal plans, where that differs."""
-    ends = [[getattr(pair, side).record for pair in pairs] for side in ("a", "b")]
-    is_other = any(a.iterations != b.iterations and planned_iterations(a) == planned_iterations(b)
-                   for a, b in zip(*ends, strict=True))  # fmt: skip
-    words = " in A, ".join(iterations_in_words(records) for records in ends)
-    return [f"rules ended trainings after {words} in B, iterations: an outcome, no setting"] * is_other
+    unlike = [
+        (a.record, b.record) for a, b in pairs
+        if a.record.iterations != b.record.iterations and planned_iterations(a.record) == planned_iterations(b.record)
+    ]  # fmt: skip
+    if not unlike:
+        return []
+    a, b = (iterations_in_words(records) for records in zip(*unlike, strict=True))
+    return [f"rules ended trainings after {a} in A, {b} in B, iterations, in {len(unlike)} of {len(pairs)} cells: an "
+            "outcome, no setting"]  # fmt: skip
 
 
 def evidence_of_scores(pairs: Pairs) -> list[str]:

@@ -108,7 +108,7 @@ def _why_not_compared(
     unlike = [cause for cause in causes if place in cause.places and metric in cause.scores]
     if unlike:
         changes = "; ".join(cause.name if cause.varies else cause.change for cause in unlike)
-        return f"{OTHER_DATA if all(cause.name == DATA for cause in unlike) else TWO_PROTOCOLS} ({changes})"
+        return f"{OTHER_DATA if any(cause.name == DATA for cause in unlike) else TWO_PROTOCOLS} ({changes})"
     return CHANGED if metric in changed else ""
 
 

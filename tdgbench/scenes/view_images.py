@@ -66,7 +66,8 @@ def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | No
     are_gray = all(view.image.shape[2] == 1 for view in images.values())
     channels = (1 if are_gray else 3) if wanted == "auto" else int(wanted)
     images = {name: in_channels(view, channels) for name, view in images.items()}
-    span = None if radiometry is None else radiometry.range
+    is_palette_made_gray = channels == 1 and not are_gray
+    span = None if radiometry is None or is_palette_made_gray else radiometry.range
     known = "of unknown °C" if span is None else f"0 and 1 are {span.min:.4g} and {span.max:.4g} °C"
     assumed = {"values": f"gray, {known}" if are_gray else PALETTE}
     return ThermalImages(images, channels, span, assumed=assumed)

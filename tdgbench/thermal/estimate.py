@@ -32,7 +32,7 @@ def estimate_camera(scene: Scene) -> ThermalCamera | Unknown:
         )
     if len(scene.train) < FEWEST_TRAINING_VIEWS:
         return Unknown(f"{scene.name} has {len(scene.train)} training views; a camera needs {FEWEST_TRAINING_VIEWS}")
-    colored = in_pseudo_colour(scene.train)
+    colored = [view.name for view in scene.train] if scene.in_palette else in_pseudo_colour(scene.train)
     if colored:
         return Unknown(
             f"{scene.name}: thermal images are pseudo-coloured ({first_few(colored)}); colours are no temperatures; "

@@ -81,6 +81,7 @@ class Context:
     backend: str
     seed: int
     skips: Skips = field(default_factory=Skips)
+    keeps_all_points: bool = False  # as of Method
     learns_rig: bool = False  # of the thermal camera
     rig: Rig | None = None  # of the training that runs
     modality: str = THERMAL.name  # of the stage
@@ -110,12 +111,13 @@ class Context:
         return self.curricula[modality]
 
     def kept_points(self, modality: str) -> np.ndarray:
-        """Return which of the initial points, (N,) bool, models of a modality begin with; random ones are all kept."""
+        """Return which of the initial points, (N,) bool, models of a modality begin with."""
         if modality not in self._kept_points:
             points, views, images = self.points.points, self.scene.train, MODALITIES[modality]
-            rules = self.budget.active_rules if self.points.is_measured else []
-            kept = [rule.kept_points(points, views, images) for rule in rules]
-            self._kept_points[modality] = np.logical_and.reduce([np.ones(len(points), bool), *kept])
+            rules = self.budget.active_rules if self.points.is_measured and not self.keeps_all_points else []
+            kept = (rule.kept_points(points, views, images) for rule in rules)
+            found = next((one for one in kept if one is not None), np.ones(len(points), bool))
+            self._kept_points[modality] = found
         return self._kept_points[modality]
 
     def adapted(self, budget: Budget, modality: str) -> Budget:

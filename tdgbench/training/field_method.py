@@ -64,6 +64,7 @@ class FieldMethod(Method):
     """
 
     renders_plain_gaussians = False
+    keeps_all_points = True
     rays_at_once: int = 4096  # of an image, which are rendered together
 
     field: Any  # a PlacedField

@@ -75,6 +75,7 @@ class Method:
     name: str = ""  # of its YAML file; `set_up` sets it
     modalities: tuple[str, ...] = ("thermal",)  # the images that it trains on, and renders; `thermal` is scored
     renders_plain_gaussians: bool = True  # each modality's as stored under its name: no hooks, no networks
+    keeps_all_points: bool = False  # begins with other than the initial points that a rule of the budget keeps
     needs_prior: bool = False  # whether `context.priors` has a depth prior per training view, for a loss of depth
     trains: bool = True  # False: what it renders was made elsewhere; it is set up and makes no step
     notes: Sequence[str] = ()  # of `setup`, for the record and the terminal

@@ -11,7 +11,9 @@ over the channels. The others have no detail. Each of these keeps one point, tha
 already holds a point that another image keeps. Views come in the order of the golden ratio, in which neighbours do not
 follow one another.
 
-Points that were found in thermal images lie where these have detail. So all are kept where most would be.
+Points that were found in thermal images lie where these have detail. So all are kept where most would be, and for RGB
+models. Two limits: points behind a surface count as well as those on it, and fine texture all over an image counts as
+noise. Points that no training view shows are left out.
 """
 
 from __future__ import annotations
@@ -25,9 +27,9 @@ from pydantic import Field, NonNegativeFloat
 
 from tdgbench.scenes import View
 from tdgbench.scenes.images import nearest_valid
-from tdgbench.training.images import Modality
+from tdgbench.training.images import THERMAL, Modality
 from tdgbench.training.rule import Rule
-from tdgbench.training.skips import Finished, Skip, summed
+from tdgbench.training.skips import NO_GAUSSIANS, Finished, Skip, summed
 
 GOLDEN_SHARE = (5**0.5 - 1) / 2
 
@@ -40,9 +42,10 @@ class PointRule(Rule):
     largest: Literal[8, 16, 32, 64, 128]  # px, side of the largest squares
     most: Annotated[float, Field(gt=0, le=1)]  # share of the points; where more have detail, all are kept
 
-    def kept_points(self, points: np.ndarray, views: Sequence[View], images: Modality) -> np.ndarray:
-        noise = images.typical_noise(views)
-        kept = np.zeros(len(points), bool)
+    def kept_points(self, points: np.ndarray, views: Sequence[View], images: Modality) -> np.ndarray | None:
+        if images is not THERMAL:  # RGB images have detail where their points are
+            return None
+        noise, kept = images.typical_noise(views), np.zeros(len(points), bool)
         for number in np.argsort(np.arange(len(views)) * GOLDEN_SHARE % 1):
             view = views[number]
             image = nearest_valid(images.array(view), images.valid(view))
@@ -57,11 +60,13 @@ class PointRule(Rule):
             found, first = np.unique(square[by_distance], return_index=True)
             is_empty = ~np.isin(found, square[kept[shown]])
             kept[shown[by_distance[first[is_empty]]]] = True
-        return kept if kept.mean() <= self.most else np.ones_like(kept)
+        return kept if 0 < kept.sum() <= self.most * len(kept) else None
 
     def account(self, skip: Skip, training: Finished) -> None:
         left_out = summed(training.work, "points_left_out")
-        reason = "the images have no more detail" if left_out else "the images have detail at most of the points"
+        reason = "one point each does where images have no detail" if left_out else "no point was left out"
+        if not training.work:
+            reason = NO_GAUSSIANS
         skip.decide(left_out > 0, reason, f"{left_out} initial points")
 
 

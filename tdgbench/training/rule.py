@@ -64,12 +64,12 @@ class Rule:
         """
         return []
 
-    def kept_points(self, points: np.ndarray, views: Sequence[View], images: Modality) -> np.ndarray:
-        """Return with which of the measured points (N, 3) models of a modality begin, (N,) bool.
+    def kept_points(self, points: np.ndarray, views: Sequence[View], images: Modality) -> np.ndarray | None:
+        """Return with which of the measured points (N, 3) models of a modality begin, (N,) bool; None: with all.
 
-        views: training views.
+        views: training views. The first rule that returns some decides.
         """
-        return np.ones(len(points), bool)
+        return None
 
     def adaptation(self, scene: Scene, images: Modality) -> Callable[[BudgetFields], BudgetFields]:
         """Return a function from the budget of models of a modality to what they train with instead; nothing here."""

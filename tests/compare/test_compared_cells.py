@@ -122,22 +122,23 @@ def test_where_rules_ended_trainings_is_an_outcome(tmp_path, capsys):
     a, b = tmp_path / "a", tmp_path / "b"
     for folder, iterations in ((a, 300), (b, 400)):
         write(folder, scores={"psnr": 20.0}, config=config, iterations=iterations)
+        write(folder, "3dgs", scores={"psnr": 20.0}, config=config, iterations=900)
     assert not find_causes(pairs_of(a, b))
     main([str(a), str(b)])
-    said = "rules ended trainings after 300 of at most 900 in A, 400 of at most 900 in B, iterations: an outcome"
+    said = "rules ended trainings after 300 of at most 900 in A, 400 of at most 900 in B, iterations, in 1 of 2 cells"
     assert said in capsys.readouterr().out
 
 
 def test_files_of_a_prior_are_of_the_training_and_those_of_a_scene_of_the_data(tmp_path, capsys):
     a, b, c = tmp_path / "a", tmp_path / "b", tmp_path / "c"
-    for folder, data in ((a, "abc"), (b, "abc-1"), (c, "abd")):
-        write(folder, scores={"psnr": 20.0}, data=data)
+    for folder, data, views in ((a, "abc", 4), (b, "abc-1", 4), (c, "abd", 5)):
+        write(folder, scores={"psnr": 20.0}, data=data, views={"train": 8, "test": views})
     kinds = {cause.name: (cause.kind, cause.values) for cause in find_causes(pairs_of(a, b))}
     assert kinds["files of the prior"] == (TRAINING, ("null", "1")) and "data" not in kinds
     assert main([str(a), str(b)]) == 0
     assert "two protocols" not in capsys.readouterr().out
     assert main([str(a), str(c)]) == 1
-    assert "found: no score is compared: other data of the scene (data: abc → abd)\n" in capsys.readouterr().out
+    assert "found: no score is compared: other data of the scene (data: abc → abd; " in capsys.readouterr().out
 
 
 def test_renders_whose_checkpoint_test_views_chose_are_named(tmp_path, capsys):

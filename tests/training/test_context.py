@@ -7,6 +7,7 @@ import pytest
 import torch
 from hydra.utils import instantiate
 
+from tdgbench.bench.init.points import CubeAroundCameras
 from tdgbench.training.context import Context, ViewOrder
 from tdgbench.training.curriculum import Curriculum
 from tdgbench.training.part import Part
@@ -110,7 +111,7 @@ def test_models_begin_with_the_points_that_are_kept(small_scene):
     total = len(small_scene.points.points)
     thermal, rgb = context.gaussians(), context.gaussians("rgb")
     assert 10 < len(thermal) < total and len(thermal) == context.kept_points("thermal").sum()
-    assert len(rgb) == context.kept_points("rgb").sum() != len(thermal)
+    assert len(rgb) == total
     assert thermal.work.points_left_out == total - len(thermal)
     assert len(context_of(small_scene).gaussians()) == total  # `demo` has no such rule
 
@@ -122,6 +123,6 @@ def test_random_points_and_those_with_further_fields_are_all_kept(small_scene):
         extra_fields={"more": torch.zeros(total, 1)}, learning_rates={"more": 0.1}, name="second"
     )
     assert len(with_field) == total and with_field.work.points_left_out == 0
-    context.points = replace(small_scene.points, is_measured=False)
-    context._kept_points.clear()
-    assert len(context.gaussians(name="third")) == total
+    random = CubeAroundCameras(total, 3.0, seed=0).points(small_scene)
+    for other in (replace(context, points=random), replace(context, keeps_all_points=True)):
+        assert len(other.gaussians()) == total

@@ -23,9 +23,11 @@ def differences(shown: ScoredView) -> np.ndarray:
     """Return differences (N, 1) or (H, W, 1) of 8-bit pictures in °C, where gray values are linear in temperature."""
     if shown.scene is not None and shown.scene.raw_count_range is not None:
         raise NotApplicableError("raw counts have no °C")
+    if shown.scene is not None and shown.scene.in_palette:
+        raise NotApplicableError(IN_PALETTE)
     if shown.scene is None or shown.scene.temperature is None:
         raise NotApplicableError("the scene has no temperature range (temperature.json)")
-    if shown.scene.channels != 1 or shown.scene.in_palette:
+    if shown.scene.channels != 1:
         raise NotApplicableError(IN_PALETTE)
     image, target = shown.pair("thermal").pixels
     span = shown.scene.temperature.max - shown.scene.temperature.min
