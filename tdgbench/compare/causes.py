@@ -43,7 +43,7 @@ LONGEST = 12  # characters of a value that a sentence prints
 class Cause(NamedTuple):
     """One setting that differs. values: A's and B's, the most frequent ones. cells: pairs in which it differs.
 
-    in_part: places of which it differs in some seeds alone.
+    in_part: whether it differs in some seeds of a place alone.
     """
 
     kind: str
@@ -52,7 +52,7 @@ class Cause(NamedTuple):
     cells: int
     places: frozenset[Place]
     alike: int  # pairs in which it differs by just these values
-    in_part: frozenset[Place] = frozenset()
+    in_part: bool = False
 
     @property
     def change(self) -> str:
@@ -90,7 +90,7 @@ class Cause(NamedTuple):
     def sentence(self, pairs: int) -> str:
         """Return the change, which scores it decides, and in how many of the pairs it is if not in all."""
         where = named(f"{methods.label(method)} on {scene}" for _, scene, method, *_ in sorted(self.places))
-        seeds = ", some of their seeds alone" * bool(self.in_part)
+        seeds = ", some of their seeds alone" * self.in_part
         some = "" if self.cells == pairs else f" (in {self.cells} of {pairs} cells: {where}{seeds})"
         if self.varies:
             some = f" (so in {self.alike} of {self.cells} cells that differ, of {pairs}; otherwise in the others)"
@@ -117,7 +117,7 @@ def find_causes(pairs: Pairs) -> list[Cause]:
     causes = []
     for key, counts in found.items():
         (values, alike), cells = counts.most_common(1)[0], places[key]
-        in_part = frozenset(place for place, number in cells.items() if number < len(pairs.by_place[place]))
+        in_part = any(number < len(pairs.by_place[place]) for place, number in cells.items())
         causes.append(Cause(*key, values, counts.total(), frozenset(cells), alike, in_part))
     kinds = list(KINDS)
     return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells, cause.name != MADE_FROM))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +20,11 @@ from tdgbench.files import write_text
 from tdgbench.packs import opened_pack
 from tdgbench.tables.as_csv import as_csv
 from tdgbench.tables.assumptions import DOUBTS, UNSTATED, AssumedDifference, assumed_differences, doubts_of
+from tdgbench.tables.build import COLUMN_OF
 from tdgbench.tables.columns import own_columns
 from tdgbench.tables.findings import before_a_plateau, given_priors
 from tdgbench.tables.likeness import selected_notes
-from tdgbench.tables.long_table import iterations_in_words, method_label, planned_iterations
+from tdgbench.tables.long_table import iterations_in_words, planned_iterations
 from tdgbench.tables.measures import RecordMeasure, measure_of
 from tdgbench.tables.results import Results, read_results
 from tdgbench.tables.setup_notes import setup_by_name
@@ -154,13 +154,13 @@ def findings_of(table: pd.DataFrame, causes: Sequence[Cause], pairs: Pairs) -> l
         kinds += [f"{kind} ({what})"] if of_kind else []
     found.append(f"what differs: {', '.join(kinds)}" if kinds else "settings, data, code and machine are the same")
     found += of_ends(pairs)
-    of_both = [setup_by_name([getattr(pair, side).record for pair in pairs], timed=True) for side in ("a", "b")]
+    of_both = [setup_by_name(records, timed=True) for records in pairs.sides]
     shared = [f"{name}: {value}" for name, value in of_both[0].items() if of_both[1].get(name) == value]
     found += [f"the same in both, of the cells that are compared: {'; '.join(shared)}"] * bool(shared)
     found += evidence_of_scores(pairs)
     found.append("not checked here: whether the stored ground truth is the data's (tdgbench verify)")
     for name, alone, failed in (("A", pairs.only_a, pairs.failed_b), ("B", pairs.only_b, pairs.failed_a)):
-        if titles := {record.title: None for record in alone}.keys() - {record.title for record in failed}:
+        if titles := {record.title for record in alone} - {record.title for record in failed}:
             found.append(f"finished in {name} alone: {named(sorted(titles))}")
     return found
 
@@ -191,16 +191,14 @@ def of_ends(pairs: Pairs) -> list[str]:
 def evidence_of_scores(pairs: Pairs) -> list[str]:
     """Return what depth priors are made from, what is doubted, and what the scores are no evidence of."""
     trained = [cell.record for pair in pairs for cell in pair]
-    priors = [given_priors(getattr(pair, side).record for pair in pairs) for side in ("a", "b")]
+    priors = [given_priors(records) for records in pairs.sides]
     no_more = "no depth prior of more than thermal images"
     found: list[str] = priors[0] if priors[0] == priors[1] else [
         "; ".join(f"in {name}: {' and '.join(said) or no_more}" for name, said in zip("AB", priors, strict=True))
     ]  # fmt: skip
-    for name, side in (("A", "a"), ("B", "b")):
-        records = (getattr(pair, side).record for pair in pairs)
-        found += [f"in {name}: {note}" for note in selected_notes(records, partial(method_label, with_init=True))]
-        estimates = {getattr(pair, side).record.setting("thermal_camera.estimate") for pair in pairs}
-        found += [f"in {name}, {ESTIMATED}"] * (True in estimates)
+    for name, records in zip("AB", pairs.sides, strict=True):
+        found += [f"in {name}: {note}" for note in selected_notes(records, COLUMN_OF)]
+        found += [f"in {name}, {ESTIMATED}"] * any(one.setting("thermal_camera.estimate") is True for one in records)
     found += before_a_plateau(trained)
     doubts = doubts_of(trained)
     found += [f"doubt: {doubt}" for doubt in doubts[:MOST_CAUSES]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import NamedTuple
@@ -13,6 +13,7 @@ from tdgbench.tables.results import Cell
 
 PLACE = ["dataset", "scene", "method", "init", "variant"]
 Place = tuple[str, ...]  # values of PLACE
+Key = tuple[Place, int]  # place, seed
 place_of: Callable[[Record], Place] = attrgetter(*PLACE)
 
 
@@ -41,6 +42,11 @@ class Pairs:
     failed_b: list[Record]
     failed_both: list[Record]
 
+    @property
+    def sides(self) -> tuple[list[Record], list[Record]]:
+        """The records of the pairs, A's and B's."""
+        return [pair.a.record for pair in self], [pair.b.record for pair in self]
+
     def __iter__(self) -> Iterator[ComparedCell]:
         return (pair for seeds in self.by_place.values() for pair in seeds.values())
 
@@ -50,16 +56,20 @@ class Pairs:
 
 def find_pairs(a: Iterable[Cell], b: Iterable[Cell]) -> Pairs:
     """Match the cells of two experiments."""
-    cells = [{(place_of(cell.record), cell.record.seed): cell for cell in of_one} for of_one in (a, b)]
-    mine, theirs = ({key: one for key, one in of_one.items() if one.record.failure is None} for of_one in cells)
+    all_a, all_b = ({(place_of(cell.record), cell.record.seed): cell for cell in cells} for cells in (a, b))
+    mine, theirs = ({key: one for key, one in cells.items() if one.record.failure is None} for cells in (all_a, all_b))
     by_place: dict[Place, dict[int, ComparedCell]] = {}
     for place, seed in sorted(mine.keys() & theirs.keys()):
         by_place.setdefault(place, {})[seed] = ComparedCell(mine[place, seed], theirs[place, seed])
-    only_a, only_b = sorted(mine.keys() - theirs.keys()), sorted(theirs.keys() - mine.keys())
+
+    def records(cells: Mapping[Key, Cell], keys: Iterable[Key]) -> list[Record]:
+        return [cells[key].record for key in sorted(keys)]
+
     return Pairs(
-        by_place, [mine[key].record for key in only_a], [theirs[key].record for key in only_b],
-        [cells[0][key].record for key in only_b if key in cells[0]],
-        [cells[1][key].record for key in only_a if key in cells[1]],
-        [one.record for key, one in sorted(cells[0].items(), key=lambda item: item[0])
-         if key not in mine and key in cells[1] and key not in theirs],
-    )  # fmt: skip
+        by_place,
+        only_a=records(mine, mine.keys() - theirs.keys()),
+        only_b=records(theirs, theirs.keys() - mine.keys()),
+        failed_a=records(all_a, (all_a.keys() - mine.keys()) & theirs.keys()),
+        failed_b=records(all_b, (all_b.keys() - theirs.keys()) & mine.keys()),
+        failed_both=records(all_a, (all_a.keys() - mine.keys()) & (all_b.keys() - theirs.keys())),
+    )

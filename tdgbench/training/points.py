@@ -64,9 +64,8 @@ class PointRule(Rule):
 
     def account(self, skip: Skip, training: Finished) -> None:
         left_out = summed(training.work, "points_left_out")
-        reason = "one point each does where images have no detail" if left_out else "no point was left out"
-        if not training.work:
-            reason = NO_GAUSSIANS
+        all_kept = "no point was left out" if training.work else NO_GAUSSIANS
+        reason = "one point each does where images have no detail" if left_out else all_kept
         skip.decide(left_out > 0, reason, f"{left_out} initial points")
 
 

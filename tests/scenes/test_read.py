@@ -27,9 +27,8 @@ def test_channels_are_detected_or_forced(data_root):
     assert forced.train[0].thermal.shape[2] == 3
     mixed = small_dataset(data_root, channels=1).load("orbit")
     assert mixed.train[0].thermal.shape[2] == 1
-    assert (
-        mixed.in_palette and mixed.temperature is None and not dataset.load("turntable").in_palette
-    )  # no °C of a mean
+    assert mixed.in_palette and mixed.temperature is None  # a mean of colours is no °C
+    assert not dataset.load("turntable").in_palette
 
 
 def test_errors_name_the_file(folder):
