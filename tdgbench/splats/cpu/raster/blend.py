@@ -24,7 +24,15 @@ from tdgbench.splats.cpu.raster import types as splat
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tdgbench.splats.cpu.raster.types import ImageArrays, Settings, Splats, TileLists, Visits
 from tdgbench.splats.cpu.scratch import empty_aligned
-from tdgbench.splats.cpu.simd.memory import aligned_floats, load, prefetch_row, store, take_next
+from tdgbench.splats.cpu.simd.memory import (
+    aligned_floats,
+    load,
+    prefetch_row,
+    scatter_rows,
+    store,
+    store_rows,
+    take_next,
+)
 from tdgbench.splats.cpu.simd.registers import (
     EXP2,
     LANES,
@@ -258,6 +266,20 @@ def still_alive(alive, pixels, size):
 def write_pixels(pixels, size, colors, depth, tile, background, images):
     """Write a finished tile to the images, over the background."""
     height, width = images.transmittance.shape
+    if is_inside(tile, height, width):
+        for block in range(U(BLOCKS)):
+            o, at = block * U(size), first_pixel(block, tile, width)
+            t = absolute(load(pixels, o + T))
+            store_rows(images.transmittance, at, width, t)
+            for c in range(colors):
+                color = load(pixels, o + LOCAL + U(LANES) * U(c)) + t * background[c]
+                if colors == 1:
+                    store_rows(images.color, at, width, color)
+                else:
+                    scatter_rows(images.color, at * colors + c, width * colors, colors, color)
+            if depth:
+                store_rows(images.depth, at, width, load(pixels, o + LOCAL + U(LANES * colors)))
+        return
     for block in range(U(BLOCKS)):
         for lane in range(U(LANES)):
             y, x = pixel_of(block, lane, tile)
@@ -292,6 +314,18 @@ def write_transmittance(pixels, size, centres, columns, rows):
         inside = select(greater(broadcast(F(columns)), x), broadcast(F(1)), broadcast(DEAD))
         inside = select(greater(broadcast(F(rows)), load(pixels, o + Y)), inside, broadcast(DEAD))
         store(pixels, o + T, inside)
+
+
+@kernel(inline=True)
+def is_inside(tile, height, width):
+    """Whether all pixels of a tile are in the image."""
+    return tile.left + TILE <= width and tile.top + TILE <= height
+
+
+@kernel(inline=True)
+def first_pixel(block, tile, width):
+    """Number in the image of a block's first pixel."""
+    return (tile.top + np.int64(block // U(ACROSS)) * HEIGHT) * width + tile.left + np.int64(block % U(ACROSS)) * WIDTH
 
 
 @kernel(inline=True)

@@ -30,7 +30,9 @@ from tdgbench.splats.cpu.raster.blend import (
     T,
     Y,
     channels_of,
+    first_pixel,
     form_of,
+    is_inside,
     pixel_of,
     tile_at,
     write_alphas,
@@ -43,7 +45,9 @@ from tdgbench.splats.cpu.raster.types import ForwardPass, ImageArrays, Settings,
 from tdgbench.splats.cpu.simd.memory import (
     LINE,
     aligned_floats,
+    gather_rows,
     load,
+    load_rows,
     prefetch,
     prefetch_row,
     store,
@@ -160,6 +164,25 @@ def write_gradients(pixels, size, colors, depth, tile, images, gradients):
     Pixels beyond the image take the values of its edge, but have no light behind.
     """
     height, width = images.transmittance.shape
+    if is_inside(tile, height, width):
+        for block in range(U(BLOCKS)):
+            o, at = block * U(size) + LOCAL, first_pixel(block, tile, width)
+            behind = load_rows(images.transmittance, at, width) * load_rows(gradients.transmittance, at, width)
+            for c in range(colors):
+                if colors == 1:
+                    color, g = load_rows(images.color, at, width), load_rows(gradients.color, at, width)
+                else:
+                    first, stride = at * colors + c, width * colors
+                    color = gather_rows(images.color, first, stride, colors)
+                    g = gather_rows(gradients.color, first, stride, colors)
+                store(pixels, o + U(LANES) * U(c + 1), g)
+                behind += g * color
+            if depth:
+                g = load_rows(gradients.depth, at, width)
+                store(pixels, o + U(LANES * (colors + 1)), g)
+                behind += g * load_rows(images.depth, at, width)
+            store(pixels, o, behind)
+        return
     for block in range(U(BLOCKS)):
         for lane in range(U(LANES)):
             o = block * U(size) + lane + LOCAL

@@ -68,6 +68,77 @@ store = _storing(_REGISTER, "LANES floats into an array, at an offset aligned to
 store_anywhere = _storing(4, "LANES floats into an array, at any offset.")
 
 
+def _row_of_four(builder, data, index, stride, row: int):
+    """The address of data[index + row · stride : … + 4]."""
+    place = builder.add(index, builder.mul(stride, _LONG(row)))
+    return builder.bitcast(builder.gep(data, [place]), ir.VectorType(ir.FloatType(), 4).as_pointer())
+
+
+@intrinsic
+def load_rows(typing_context, array, index, stride):
+    """LANES floats in rows of four: array[index : index + 4], array[index + stride : index + stride + 4], …"""
+
+    def generate(context, builder, signature, args):
+        data = _data(context, builder, signature.args[0], args[0])
+        rows = [builder.load(_row_of_four(builder, data, *args[1:], row), align=4) for row in range(LANES // 4)]
+        while len(rows) > 1:
+            joined = range(2 * rows[0].type.count)
+            index = ir.Constant(ir.VectorType(_INDEX, len(joined)), list(joined))
+            rows = [builder.shuffle_vector(a, b, index) for a, b in zip(rows[::2], rows[1::2], strict=True)]
+        return rows[0]
+
+    return vec(array, types.int64, types.int64), generate
+
+
+@intrinsic
+def store_rows(typing_context, array, index, stride, value):
+    """Write LANES floats in rows of four, where `load_rows` reads them."""
+
+    def generate(context, builder, signature, args):
+        data = _data(context, builder, signature.args[0], args[0])
+        for row in range(LANES // 4):
+            lanes = ir.Constant(ir.VectorType(_INDEX, 4), list(range(4 * row, 4 * row + 4)))
+            four = builder.shuffle_vector(args[3], args[3], lanes)
+            builder.store(four, _row_of_four(builder, data, args[1], args[2], row), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, types.int64, vec), generate
+
+
+def _places(builder, index, stride, step):
+    """Where each lane of `gather_rows` is."""
+    for lane in range(LANES):
+        row, column = divmod(lane, 4)
+        yield lane, builder.add(builder.add(index, builder.mul(stride, _LONG(row))), builder.mul(step, _LONG(column)))
+
+
+@intrinsic
+def gather_rows(typing_context, array, index, stride, step):
+    """LANES floats in rows of four, `step` apart: lane l is array[index + l // 4 · stride + l % 4 · step]."""
+
+    def generate(context, builder, signature, args):
+        data = _data(context, builder, signature.args[0], args[0])
+        result = ir.Constant(FLOATS, ir.Undefined)
+        for lane, place in _places(builder, *args[1:]):
+            result = builder.insert_element(result, builder.load(builder.gep(data, [place])), _INDEX(lane))
+        return result
+
+    return vec(array, types.int64, types.int64, types.int64), generate
+
+
+@intrinsic
+def scatter_rows(typing_context, array, index, stride, step, value):
+    """Write LANES floats where `gather_rows` reads them."""
+
+    def generate(context, builder, signature, args):
+        data = _data(context, builder, signature.args[0], args[0])
+        for lane, place in _places(builder, *args[1:4]):
+            builder.store(builder.extract_element(args[4], _INDEX(lane)), builder.gep(data, [place]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, types.int64, types.int64, vec), generate
+
+
 def _every_second(builder, a, b, first: int):
     """Lanes first, first + 2, … of two registers, one after the other."""
     index = ir.Constant(BITS, list(range(first, 2 * LANES, 2)))
