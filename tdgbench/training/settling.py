@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from tdgbench.scenes import View
+from tdgbench.splats import Gaussians
+from tdgbench.splats.view import Pinhole
 from tdgbench.training.curriculum import Curriculum, evenly_spread
 from tdgbench.training.part import Part, State, Stopping
 from tdgbench.training.rule import Rule, Watched
 from tdgbench.training.skips import Finished, Skip
 
+CONFIDENCE = 0.68  # of the interval of a slope: one standard error to each side, if errors of checks are independent
 IN_A_ROW = 2  # resolutions that are no better: one alone may still suffer from the change
 
 
@@ -23,16 +26,19 @@ IN_A_ROW = 2  # resolutions that are no better: one alone may still suffer from 
 class SettlingRule(Rule):
     """End a training when the PSNR of held-out views, training views that it does not train on, no longer rises.
 
-    Every `every` iterations the held-out views are rendered: a check. A window is a share of the checks at the current
-    resolution. The training stalls when the last window gains less than `gain` on the window before. At the full
-    resolution, a window stalls only if its gain plus one standard error is below `gain`, so that noise hides no gain.
-    Nor does it stall while the Gaussians grow by more than `most_growth`: views agree that something is missing. At the
-    full resolution, no check is made until `full_after`, since nothing has grown.
+    Every `every` iterations the held-out views are rendered: a check. Below the full resolution the training stalls
+    when the last `checks` checks gain less than `gain` on as many before. At the full resolution, PSNR is taken to rise
+    by as much whenever the iterations double. That slope is the median of the slopes between all pairs of the checks
+    since `since` of the iterations so far, at least `slope_checks` (Theil and Sen), which a few outliers hardly move.
+    The training stalls when `horizon` further iterations would gain less than `gain` with the upper bound of the
+    slope's 68 % interval, so that noise seldom hides a gain. Nor does it stall there while
+    the Gaussians grow by more than `most_growth`: views agree that something is missing, and gain some checks later. At
+    the full resolution, no check is made until `full_after`, since nothing has grown.
 
     A stall below the full resolution ends that resolution. The training settles after two resolutions in a row without
-    a new best, or at the full resolution once the windows of stalls in a row cover `stalled_checks`. It settles at the
-    best resolution: from then on the held-out views are trained on as well, no Gaussians are added, and all learning
-    rates fall log-linearly for `tail`. One that never stalls settles so that the tail ends it.
+    a new best, or at a stall at the full resolution. It settles at the best resolution: from then on the held-out views
+    are trained on as well, no Gaussians are added, and all learning rates fall log-linearly for `tail`. One that never
+    stalls settles so that the tail ends it.
     """
 
     ends_training = True
@@ -42,13 +48,14 @@ class SettlingRule(Rule):
     fewest: PositiveInt  # held-out views; none are held out of less than four times as many training views
     most: PositiveInt  # held-out views
     every: PositiveInt  # iterations between checks
-    checks: PositiveInt  # in a window below the full resolution, at least
-    full_checks: PositiveInt  # in a window at the full resolution, at least
-    stalled_checks: PositiveInt  # at the full resolution, covered by the windows of stalls in a row
-    most_growth: PositiveFloat  # of the number of Gaussians within `stalled_checks` checks, for a stall
-    full_after: NonNegativeInt  # iterations before the first check at the full resolution
-    window: Annotated[float, Field(gt=0, le=0.5)]  # share of the checks at a resolution that is in a window
-    gain: PositiveFloat  # dB, the mean over held-out views
+    checks: PositiveInt  # that are compared with as many before, below the full resolution
+    slope_checks: Annotated[int, Field(ge=2)]  # at the full resolution, at least, for a slope; two have no interval
+    since: Annotated[float, Field(ge=0, le=0.9)]  # of the iterations so far; earlier checks count for no slope
+    horizon: PositiveInt  # further iterations, which must promise `gain`
+    most_growth: PositiveFloat  # of the number of Gaussians within `growth_checks`, for a stall at the full resolution
+    growth_checks: PositiveInt  # checks
+    full_after: NonNegativeInt  # iterations before the first check at the full resolution: the first round of growth
+    gain: PositiveFloat  # dB, the mean over held-out views; a smaller gain is a stall
     tail: PositiveFloat  # iterations after settling, as a share of those before
     slowdown: Annotated[float, Field(gt=0, le=1)]  # of all learning rates at the end
 
@@ -65,6 +72,9 @@ class SettlingRule(Rule):
     def stopping(self, stage: Watched) -> Stopping:
         return Settling(self, stage.iterations, stage.curriculum, stage.parts, stage.psnr_of)
 
+    def warm_up(self, gaussians: Gaussians, camera: Pinhole, backend: str) -> None:
+        import scipy.stats  # noqa: F401  # takes half a second; only trainings with this rule need it
+
     def account(self, skip: Skip, training: Finished) -> None:
         is_early = any(0 < curriculum.settled_at < self.latest(length) for curriculum, length in training.curricula)
         held_out = len(training.curricula[0][0].held_out)
@@ -73,7 +83,7 @@ class SettlingRule(Rule):
         elif not is_early:
             reason = f"{held_out} held-out views went on getting better"
         else:
-            reason = f"{held_out} held-out views no longer gained from window to window"
+            reason = f"{held_out} held-out views no longer gained enough"
         skip.decide(is_early and training.remaining > 0, reason, training.left_out)
 
 
@@ -81,7 +91,7 @@ class Settling(Stopping):
     """Raises the resolution, lowers the learning rates and ends a training, by the PSNR of held-out views."""
 
     reads_loss = False
-    changing = ("_scale", "_psnrs", "_counts", "_stalls", "_best_scale", "_best_psnrs", "_no_better")
+    changing = ("_scale", "_checks", "_counts", "_best_scale", "_best_psnr", "_no_better")
 
     def __init__(
         self,
@@ -97,10 +107,9 @@ class Settling(Stopping):
         for part in parts.values():  # the tail of an earlier stage slowed those that it had, too
             part.set_slowdown(1.0)
         self._scale = curriculum.scale
-        self._psnrs: list[list[float]] = []  # of the checks at this resolution, by view
+        self._checks: list[tuple[int, float]] = []  # at this resolution: iteration and PSNR, mean over views
         self._counts: list[int] = []  # of Gaussians at these checks
-        self._stalls = 0  # of the last checks, in a row
-        self._best_scale, self._best_psnrs = 0, list[float]()  # of the resolutions before, at its end; 0: none
+        self._best_scale, self._best_psnr = 0, 0.0  # of the resolutions before, at its end; 0: none
         self._no_better = 0  # resolutions in a row since then
 
     def load_state_dict(self, saved: State) -> None:
@@ -136,25 +145,43 @@ class Settling(Stopping):
         is_full = curriculum.is_at_full_resolution
         if is_full and iteration <= rule.full_after:
             return
-        self._psnrs.append([self.psnr_of(view) for view in curriculum.held_out])
-        self._counts.append(sum(part.gaussian_count for part in self.parts.values()))
-        curriculum.checks.append([iteration, curriculum.scale, round(float(np.mean(self._psnrs[-1])), 3)])
-        last = last_window(rule, self._psnrs, rule.full_checks if is_full else rule.checks)
-        if last is None:
+        psnrs = [psnr for psnr in map(self.psnr_of, curriculum.held_out) if not math.isnan(psnr)]  # no valid pixel
+        if not psnrs:
             return
-        goes_on = last.gain + is_full * last.standard_error >= rule.gain or (is_full and self._is_growing)
-        self._stalls = 0 if goes_on else self._stalls + 1
-        if not self._stalls or (is_full and last.checks + self._stalls - 1 < rule.stalled_checks):
+        self._checks.append((iteration, float(np.mean(psnrs))))
+        self._counts.append(sum(part.gaussian_count for part in self.parts.values()))
+        curriculum.checks.append([iteration, curriculum.scale, round(self._checks[-1][1], 3)])
+        if not (self._stalls_at_full() if is_full else self._stalls_below()):
             return
         is_last = is_full or self._no_better >= IN_A_ROW - 1
-        if is_last and not self._is_best(last.psnrs):
+        if is_last and not self._is_best(self._last_psnr()):
             self._settle(self._best_scale, f"larger images than 1/{self._best_scale} gained less than {rule.gain:g} dB")
         elif is_full:
-            stalled = last.checks + self._stalls - 1
-            self._settle(curriculum.scale, f"in {stalled} checks, held-out views gained less than {rule.gain:g} dB")
+            self._settle(curriculum.scale, f"{rule.horizon} more iterations would gain less than {rule.gain:g} dB")
         else:
             curriculum.advance()
             self._leave_resolution()
+
+    def _last_psnr(self, before: int = 0) -> float:
+        """Return the mean of the last checks at this resolution, dB; or of as many that have `before` after them."""
+        end = len(self._checks) - before
+        return float(np.mean([psnr for _, psnr in self._checks[max(0, end - self.rule.checks) : end]]))
+
+    def _stalls_below(self) -> bool:
+        """Return whether held-out views stall below the full resolution."""
+        size = self.rule.checks
+        return len(self._checks) >= 2 * size and self._last_psnr() - self._last_psnr(before=size) < self.rule.gain
+
+    def _stalls_at_full(self) -> bool:
+        """Return whether held-out views stall at the full resolution."""
+        from scipy.stats import theilslopes  # imported by `warm_up`, before the clock
+
+        rule, now = self.rule, self._checks[-1][0]
+        iterations, psnrs = np.array([check for check in self._checks if check[0] > rule.since * now]).T
+        if len(psnrs) < rule.slope_checks or self._is_growing:
+            return False
+        slope = theilslopes(psnrs, np.log2(iterations), CONFIDENCE).high_slope
+        return bool(slope * math.log2(1 + rule.horizon / now) < rule.gain)
 
     def _settle(self, scale: int, reason: str) -> None:
         """Begin the tail, at a scale."""
@@ -174,23 +201,22 @@ class Settling(Stopping):
 
     @property
     def _is_growing(self) -> bool:
-        """Whether there are many more Gaussians than `stalled_checks` checks before, or at the first check since."""
-        before = self._counts[-1 - min(self.rule.stalled_checks, len(self._counts) - 1)]
+        """Whether there are many more Gaussians than `growth_checks` checks before, or at the first check since."""
+        before = self._counts[-1 - min(self.rule.growth_checks, len(self._counts) - 1)]
         return self._counts[-1] > (1 + self.rule.most_growth) * before
 
-    def _is_best(self, psnrs: np.ndarray) -> bool:
-        """Return whether held-out views (V,) are better than with the best resolution so far."""
-        return not self._best_scale or float(np.mean(psnrs - self._best_psnrs)) >= self.rule.gain
+    def _is_best(self, psnr: float) -> bool:
+        """Return whether held-out views are better, dB, than with the best resolution so far."""
+        return not self._best_scale or psnr - self._best_psnr >= self.rule.gain
 
     def _leave_resolution(self) -> None:
         """Compare the last resolution with the best one so far, and start with the current one."""
-        if self._psnrs:
-            reached = np.mean(self._psnrs[-self.rule.checks :], axis=0)
-            if self._is_best(reached):
-                self._best_scale, self._best_psnrs, self._no_better = self._scale, reached.tolist(), 0
+        if self._checks:
+            if self._is_best(self._last_psnr()):
+                self._best_scale, self._best_psnr, self._no_better = self._scale, self._last_psnr(), 0
             else:
                 self._no_better += 1
-        self._scale, self._psnrs, self._counts, self._stalls = self.curriculum.scale, [], [], 0
+        self._scale, self._checks, self._counts = self.curriculum.scale, [], []
 
 
 class AllSettled(Stopping):
@@ -217,23 +243,3 @@ class AllSettled(Stopping):
     def ends_at(self) -> int | None:
         ends = [rule.ends_at for rule in self.rules.values()]
         return None if None in ends else max(end for end in ends if end is not None)
-
-
-class LastWindow(NamedTuple):
-    """The last window of checks, compared with the one before it."""
-
-    checks: int
-    psnrs: np.ndarray  # (V,) of its views, dB
-    gain: float  # on the window before, mean over views, dB
-    standard_error: float  # of the gain, from the spread of the checks in both windows, dB
-
-
-def last_window(rule: SettlingRule, psnrs: list[list[float]], fewest: int) -> LastWindow | None:
-    """Return the last window, of `fewest` checks or more; None while there are too few checks."""
-    size = max(fewest, math.ceil(rule.window * len(psnrs)))
-    if len(psnrs) < 2 * size:
-        return None
-    last, before = np.array(psnrs[-size:]), np.array(psnrs[-2 * size : -size])
-    gain = float(last.mean() - before.mean())
-    variances = [float(np.var(window.mean(axis=1), ddof=1)) if size > 1 else 0.0 for window in (last, before)]
-    return LastWindow(size, last.mean(axis=0), gain, math.sqrt(sum(variances) / size))

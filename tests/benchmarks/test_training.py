@@ -13,7 +13,7 @@ from tests.helpers.command import program_here
 from tests.helpers.configs import SMALL
 from tests.helpers.paths import ROOT
 
-RULES = "every=5", "fewest=1", "checks=1", "full_checks=1", "stalled_checks=1", "full_after=0", "gain=50"
+RULES = "every=5", "fewest=1", "checks=1", "slope_checks=2", "since=0", "full_after=0", "gain=50"
 ENDS_EARLY = "budget=lean", *(f"budget.settling.{rule}" for rule in RULES)
 
 

@@ -164,7 +164,7 @@ def test_bitwise_equal_on_any_number_of_threads():
 def test_the_other_width_of_registers():
     """Kernels compiled for the width that this processor does not choose, in a process of their own, agree as well."""
     lanes = "16" if jit.lanes() == 8 else "8"
-    chosen = "(test_several_cameras or test_random_scenes or test_bitwise_equal_on_any) and not warp"
+    chosen = "(test_several_cameras or test_random_scenes or test_bitwise_equal_on_any or test_agrees) and not warp"
     run = subprocess.run(
         [sys.executable, "-m", "pytest", __file__, "-x", "-k", chosen, "-p", "no:cacheprovider"],
         env={**os.environ, "TDGBENCH_LANES": lanes}, cwd=ROOT, capture_output=True, text=True, timeout=600,

@@ -13,8 +13,8 @@ NAMES = ["gray", "rgb", "prior", "depth", "unseen", "saturated"]
 LEAN = (
     "budget=lean", "budget.iterations=60", "budget.density.start=5", "budget.density.every=5", "budget.density.stop=20",
     "budget.density.grad_threshold=1e-6", "budget.pixels.smallest_side=8", "budget.settling.every=10",
-    "budget.settling.checks=1", "budget.settling.full_checks=1", "budget.settling.full_after=0",
-    "budget.settling.stalled_checks=1", "budget.settling.gain=50",
+    "budget.settling.checks=1", "budget.settling.slope_checks=2", "budget.settling.full_after=0",
+    "budget.settling.since=0", "budget.settling.gain=50",
     "budget.settling.fewest=1",
 )  # fmt: skip
 
@@ -112,13 +112,13 @@ def test_the_rules_of_the_lean_budget(small_gray_scene):
     assert found["settling"].saved == "27 of 60 iterations"  # it settled at 30; a tenth more, at 1/2 again
     assert found["pixels"].reason == "20 iterations at 1/2"  # the schedule had left it after 17
     assert found["pixels"].saved == f"{20 * 0.75 / 33:.0%} of the pixels"
-    assert found["settling"].reason == "1 held-out views no longer gained from window to window"
+    assert found["settling"].reason == "1 held-out views no longer gained enough"
     assert not found["plateau"].taken and found["plateau"].reason == "the budget has no rule for plateau"
 
 
 def test_a_training_that_never_settles_has_no_skip(small_gray_scene):
     found, _ = after_lean(
-        small_gray_scene, "budget.settling.gain=1e-9", "budget.settling.checks=9", "budget.settling.full_checks=9"
+        small_gray_scene, "budget.settling.gain=1e-9", "budget.settling.checks=9", "budget.settling.slope_checks=99"
     )
     assert not found["settling"].taken and "went on getting better" in found["settling"].reason
 

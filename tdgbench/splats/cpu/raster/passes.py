@@ -129,7 +129,7 @@ def blend_backward(
     """
     gradients = ImageArrays(
         *(
-            _zeros(image.shape) if gradient is None else np.ascontiguousarray(gradient)
+            _zeros(image.shape) if gradient is None else np.ascontiguousarray(gradient, np.float32)
             for gradient, image in zip((color, depth, transmittance), view.images)
         )
     )

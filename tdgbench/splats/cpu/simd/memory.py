@@ -76,15 +76,18 @@ def _row_of_four(builder, data, index, stride, row: int):
 
 @intrinsic
 def load_rows(typing_context, array, index, stride):
-    """LANES floats in rows of four: array[index : index + 4], array[index + stride : index + stride + 4], …"""
+    """LANES floats in rows of four: array[index : index + 4], array[index + stride : index + stride + 4], …
+
+    The array has any shape, without gaps; index and stride count its floats. So do the three operations below.
+    """
 
     def generate(context, builder, signature, args):
         data = _data(context, builder, signature.args[0], args[0])
         rows = [builder.load(_row_of_four(builder, data, *args[1:], row), align=4) for row in range(LANES // 4)]
         while len(rows) > 1:
-            joined = range(2 * rows[0].type.count)
-            index = ir.Constant(ir.VectorType(_INDEX, len(joined)), list(joined))
-            rows = [builder.shuffle_vector(a, b, index) for a, b in zip(rows[::2], rows[1::2], strict=True)]
+            count = 2 * rows[0].type.count
+            joined = ir.Constant(ir.VectorType(_INDEX, count), list(range(count)))
+            rows = [builder.shuffle_vector(a, b, joined) for a, b in zip(rows[::2], rows[1::2], strict=True)]
         return rows[0]
 
     return vec(array, types.int64, types.int64), generate
