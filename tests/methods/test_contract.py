@@ -127,7 +127,9 @@ def test_a_cell_is_stored_rendered_again_scored_and_removed(configured, name):
 def test_stages_settle_by_their_own_images(configured, small_gray_scene):
     """With rules that look at held-out views, also a stage that trains on RGB; what was left out is counted in both."""
     rules = "budget.settling.every=5 budget.settling.fewest=1 budget.settling.checks=1 budget.settling.slope_checks=2 "
-    rules += "budget.settling.full_after=0 budget.settling.since=0 budget.settling.gain=50"
+    rules += (
+        "budget.settling.full_after=0 budget.settling.since=0 budget.settling.gain=50 budget.settling.most_growth=50"
+    )
     cfg = configured(f"fine_tuned budget=lean {rules} budget.pixels.smallest_side=8 budget.iterations=120")
     outcome = run_quietly(cfg)
     assert outcome.status == "ok", outcome.message

@@ -15,7 +15,7 @@ LEAN = (
     "budget.density.grad_threshold=1e-6", "budget.pixels.smallest_side=8", "budget.settling.every=10",
     "budget.settling.checks=1", "budget.settling.slope_checks=2", "budget.settling.full_after=0",
     "budget.settling.since=0", "budget.settling.gain=50",
-    "budget.settling.fewest=1",
+    "budget.settling.most_growth=50", "budget.settling.fewest=1",
 )  # fmt: skip
 
 
