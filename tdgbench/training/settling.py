@@ -31,9 +31,9 @@ class SettlingRule(Rule):
     by as much whenever the iterations double. That slope is the median of the slopes between all pairs of the checks
     since `since` of the iterations so far, at least `slope_checks` (Theil and Sen), which a few outliers hardly move.
     The training stalls when `horizon` further iterations would gain less than `gain` with the upper bound of the
-    slope's 68 % interval, so that noise seldom hides a gain. Nor does it stall there while
-    the Gaussians grow by more than `most_growth`: views agree that something is missing, and gain some checks later. At
-    the full resolution, no check is made until `full_after`, since nothing has grown.
+    slope's 68 % interval, so that noise seldom hides a gain. Nor does it stall there while the Gaussians grow by more
+    than `most_growth`: views agree that something is missing, and gain some checks later. At the full resolution, no
+    check is made until `full_after`, since nothing has grown.
 
     A stall below the full resolution ends that resolution. The training settles after two resolutions in a row without
     a new best, or at a stall at the full resolution. It settles at the best resolution: from then on the held-out views
