@@ -91,7 +91,7 @@ class Settling(Stopping):
     """Raises the resolution, lowers the learning rates and ends a training, by the PSNR of held-out views."""
 
     reads_loss = False
-    changing = ("_scale", "_checks", "_counts", "_best_scale", "_best_psnr", "_no_better")
+    changing = ("_scale", "_checks", "_best_scale", "_best_psnr", "_no_better")
 
     def __init__(
         self,
@@ -107,8 +107,7 @@ class Settling(Stopping):
         for part in parts.values():  # the tail of an earlier stage slowed those that it had, too
             part.set_slowdown(1.0)
         self._scale = curriculum.scale
-        self._checks: list[tuple[int, float]] = []  # at this resolution: iteration and PSNR, mean over views
-        self._counts: list[int] = []  # of Gaussians at these checks
+        self._checks: list[tuple[int, float, int]] = []  # at this resolution: iteration, mean PSNR, Gaussians
         self._best_scale, self._best_psnr = 0, 0.0  # of the resolutions before, at its end; 0: none
         self._no_better = 0  # resolutions in a row since then
 
@@ -148,9 +147,9 @@ class Settling(Stopping):
         psnrs = [psnr for psnr in map(self.psnr_of, curriculum.held_out) if not math.isnan(psnr)]  # no valid pixel
         if not psnrs:
             return
-        self._checks.append((iteration, float(np.mean(psnrs))))
-        self._counts.append(sum(part.gaussian_count for part in self.parts.values()))
-        curriculum.checks.append([iteration, curriculum.scale, round(self._checks[-1][1], 3)])
+        psnr, gaussians = float(np.mean(psnrs)), sum(part.gaussian_count for part in self.parts.values())
+        self._checks.append((iteration, psnr, gaussians))
+        curriculum.checks.append([iteration, curriculum.scale, round(psnr, 3)])
         if not (self._stalls_at_full() if is_full else self._stalls_below()):
             return
         is_last = is_full or self._no_better >= IN_A_ROW - 1
@@ -165,7 +164,7 @@ class Settling(Stopping):
     def _last_psnr(self, before: int = 0) -> float:
         """Return the mean of the last checks at this resolution, dB; or of as many that have `before` after them."""
         end = len(self._checks) - before
-        return float(np.mean([psnr for _, psnr in self._checks[max(0, end - self.rule.checks) : end]]))
+        return float(np.mean([psnr for _, psnr, _ in self._checks[max(0, end - self.rule.checks) : end]]))
 
     def _stalls_below(self) -> bool:
         """Return whether held-out views stall below the full resolution."""
@@ -177,7 +176,7 @@ class Settling(Stopping):
         from scipy.stats import theilslopes  # imported by `warm_up`, before the clock
 
         rule, now = self.rule, self._checks[-1][0]
-        iterations, psnrs = np.array([check for check in self._checks if check[0] > rule.since * now]).T
+        iterations, psnrs, _ = np.array([check for check in self._checks if check[0] > rule.since * now]).T
         if len(psnrs) < rule.slope_checks or self._is_growing:
             return False
         slope = theilslopes(psnrs, np.log2(iterations), CONFIDENCE).high_slope
@@ -202,8 +201,8 @@ class Settling(Stopping):
     @property
     def _is_growing(self) -> bool:
         """Whether there are many more Gaussians than `growth_checks` checks before, or at the first check since."""
-        before = self._counts[-1 - min(self.rule.growth_checks, len(self._counts) - 1)]
-        return self._counts[-1] > (1 + self.rule.most_growth) * before
+        counts = [count for _, _, count in self._checks[-1 - self.rule.growth_checks :]]
+        return counts[-1] > (1 + self.rule.most_growth) * counts[0]
 
     def _is_best(self, psnr: float) -> bool:
         """Return whether held-out views are better, dB, than with the best resolution so far."""
@@ -216,7 +215,7 @@ class Settling(Stopping):
                 self._best_scale, self._best_psnr, self._no_better = self._scale, self._last_psnr(), 0
             else:
                 self._no_better += 1
-        self._scale, self._checks, self._counts = self.curriculum.scale, [], []
+        self._scale, self._checks = self.curriculum.scale, []
 
 
 class AllSettled(Stopping):

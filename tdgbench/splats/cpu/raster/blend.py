@@ -28,8 +28,8 @@ from tdgbench.splats.cpu.simd.memory import (
     aligned_floats,
     load,
     prefetch_row,
-    scatter_rows,
     store,
+    store_channel,
     store_rows,
     take_next,
 )
@@ -273,10 +273,7 @@ def write_pixels(pixels, size, colors, depth, tile, background, images):
             store_rows(images.transmittance, at, width, t)
             for c in range(colors):
                 color = load(pixels, o + LOCAL + U(LANES) * U(c)) + t * background[c]
-                if colors == 1:
-                    store_rows(images.color, at, width, color)
-                else:
-                    scatter_rows(images.color, at * colors + c, width * colors, colors, color)
+                store_channel(images.color, at, width, colors, c, color)
             if depth:
                 store_rows(images.depth, at, width, load(pixels, o + LOCAL + U(LANES * colors)))
         return

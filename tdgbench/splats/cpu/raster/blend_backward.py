@@ -45,8 +45,8 @@ from tdgbench.splats.cpu.raster.types import ForwardPass, ImageArrays, Settings,
 from tdgbench.splats.cpu.simd.memory import (
     LINE,
     aligned_floats,
-    gather_rows,
     load,
+    load_channel,
     load_rows,
     prefetch,
     prefetch_row,
@@ -169,14 +169,9 @@ def write_gradients(pixels, size, colors, depth, tile, images, gradients):
             o, at = block * U(size) + LOCAL, first_pixel(block, tile, width)
             behind = load_rows(images.transmittance, at, width) * load_rows(gradients.transmittance, at, width)
             for c in range(colors):
-                if colors == 1:
-                    color, g = load_rows(images.color, at, width), load_rows(gradients.color, at, width)
-                else:
-                    first, stride = at * colors + c, width * colors
-                    color = gather_rows(images.color, first, stride, colors)
-                    g = gather_rows(gradients.color, first, stride, colors)
+                g = load_channel(gradients.color, at, width, colors, c)
                 store(pixels, o + U(LANES) * U(c + 1), g)
-                behind += g * color
+                behind += g * load_channel(images.color, at, width, colors, c)
             if depth:
                 g = load_rows(gradients.depth, at, width)
                 store(pixels, o + U(LANES * (colors + 1)), g)

@@ -142,6 +142,23 @@ def scatter_rows(typing_context, array, index, stride, step, value):
     return types.void(array, types.int64, types.int64, types.int64, vec), generate
 
 
+@kernel(inline=True)
+def load_channel(image, pixel, width, channels, channel):
+    """One channel of LANES pixels in rows of four, the first of them number `pixel` of an image, which has channels."""
+    if channels == 1:
+        return load_rows(image, pixel, width)
+    return gather_rows(image, pixel * channels + channel, width * channels, channels)
+
+
+@kernel(inline=True)
+def store_channel(image, pixel, width, channels, channel, value):
+    """Write what `load_channel` reads."""
+    if channels == 1:
+        store_rows(image, pixel, width, value)
+    else:
+        scatter_rows(image, pixel * channels + channel, width * channels, channels, value)
+
+
 def _every_second(builder, a, b, first: int):
     """Lanes first, first + 2, … of two registers, one after the other."""
     index = ir.Constant(BITS, list(range(first, 2 * LANES, 2)))
