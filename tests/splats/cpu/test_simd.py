@@ -3,7 +3,8 @@
 import numpy as np
 
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.blend import TABLES, exp2_in_memory
+from tdgbench.splats.cpu.raster.alphas import exp2_in_memory
+from tdgbench.splats.cpu.raster.blocks import TABLES
 from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd import memory
 from tdgbench.splats.cpu.simd import registers as simd

@@ -5,25 +5,35 @@
 alpha is capped at max_alpha (0.99) and skipped below min_alpha (1/255); a pixel stops before the Gaussian that would
 take T below min_transmittance (1e-4).
 Stopped pixels need no branch: the sign bit of their T is set, which makes every further weight zero.
-
-Blocks are 4 × LANES / 4 pixels, numbered row by row from the tile's corner: a small Gaussian touches fewer of them than
-it would touch strips of one row. A set of blocks is a number, one bit each. A kernel holds a tile as `pixels`, float32:
-`size` floats a block, of which Y and T are the same in all kernels.
 """
 
 from __future__ import annotations
 
 import functools
-from typing import NamedTuple
 
 import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster import types as splat
+from tdgbench.splats.cpu.raster.alphas import COLUMN, active_blocks, form_of, write_alphas, write_columns
+from tdgbench.splats.cpu.raster.blocks import (
+    ACROSS,
+    ALL,
+    BLOCKS,
+    LOCAL,
+    NONE,
+    TABLES,
+    T,
+    first_pixel,
+    is_inside,
+    pixel_of,
+    tile_at,
+    write_centres,
+    write_transmittance,
+)
 from tdgbench.splats.cpu.raster.tiles import TILE
 from tdgbench.splats.cpu.raster.types import ImageArrays, Settings, Splats, TileLists, Visits
-from tdgbench.splats.cpu.scratch import empty_aligned
 from tdgbench.splats.cpu.simd.memory import (
     aligned_floats,
     load,
@@ -34,77 +44,22 @@ from tdgbench.splats.cpu.simd.memory import (
     take_next,
 )
 from tdgbench.splats.cpu.simd.registers import (
-    EXP2,
     LANES,
     absolute,
     any_bit,
     any_positive,
     broadcast,
-    exp2_by,
-    greater,
     greater_equal,
-    lane_bits,
     lowest,
     maximum,
-    minimum,
     negative_abs,
     select,
 )
 
 F, U = np.float32, np.uint64
-WIDTH, HEIGHT = 4, LANES // 4  # of a block, px
-ACROSS, DOWN = TILE // WIDTH, TILE // HEIGHT
-BLOCKS = ACROSS * DOWN
-Y, T, LOCAL = U(0), U(LANES), U(2 * LANES)  # of a block: centres, transmittance, the kernel's values
-DX, DX_B, ALONG_X, COLUMN = U(0), U(LANES), U(2 * LANES), U(4 * LANES)  # of a column of blocks; its floats
-ALL, NONE = U(2**BLOCKS - 1), U(0)
-HALF_WIDTH, HALF_HEIGHT = F((WIDTH - 1) / 2), F((HEIGHT - 1) / 2)  # from a block's centre to its outermost pixels'
-ZERO, TWO, DEAD = F(0), F(2), F(-0.0)
-ROUNDING = F(1 / 64)  # bound of the rounding error of log2(alpha)
+ZERO = F(0)
 BATCH = 16  # Gaussians whose active blocks are found before they are blended; then stopped blocks are looked for
 PREFETCH_DISTANCE = 16  # pairs
-
-
-class Tile(NamedTuple):
-    """A tile: its corner in px, and its pairs [begin, end) in the tile lists."""
-
-    left: int
-    top: int
-    begin: int
-    end: int
-
-
-class Form(NamedTuple):
-    """log2(alpha) = log2_opacity + A dx² + B dx dy + C dy², registers; (dx, dy) leads from the mean to the tile, px."""
-
-    dx: float
-    dy: float
-    A: float
-    B: float
-    C: float
-    log2_opacity: float
-
-
-class BlockTables(NamedTuple):
-    """Constants that the blend kernels read from memory."""
-
-    centres: (
-        np.ndarray
-    )  # float32: x of all blocks, y of all blocks, then x and y of each block's pixels, px from the corner
-    powers: np.ndarray  # (6 · LANES,) float32: each coefficient of `exp2` as a register
-
-
-def _tables() -> BlockTables:
-    row, column = np.divmod(np.arange(BLOCKS), ACROSS)
-    blocks = np.stack([column * WIDTH + WIDTH / 2, row * HEIGHT + HEIGHT / 2])
-    down, along = np.divmod(np.arange(LANES), WIDTH)
-    pixels = np.stack([(column * WIDTH)[:, None] + along + 0.5, (row * HEIGHT)[:, None] + down + 0.5], axis=1)
-    centres, powers = (empty_aligned((count,), np.float32) for count in (2 * BLOCKS + pixels.size, len(EXP2) * LANES))
-    centres[:], powers[:] = np.concatenate([blocks.ravel(), pixels.ravel()]), np.repeat(EXP2, LANES)
-    return BlockTables(centres, powers)
-
-
-TABLES = _tables()
 
 
 def blend_tiles(settings: Settings, splats: Splats, tiles: TileLists, active_blocks: np.ndarray):
@@ -187,33 +142,6 @@ def find_active(first, last, splats, splat_ids, tile, limits, tables, alive, fou
 
 
 @kernel(inline=True)
-def write_columns(columns, form, centres):
-    """Write what the blocks of a column share: dx, dx B and log2_opacity + A dx²."""
-    for column in range(U(ACROSS)):
-        dx = load(centres, U(2 * BLOCKS) + column * U(2 * LANES)) + form.dx
-        store(columns, column * COLUMN + DX, dx)
-        store(columns, column * COLUMN + DX_B, dx * form.B)
-        store(columns, column * COLUMN + ALONG_X, dx * dx * form.A + form.log2_opacity)
-
-
-@kernel(inline=True)
-def write_alphas(alphas, pixels, size, columns, form, blocks, limits, powers):
-    """alphas[LANES block …] = alpha in each of `blocks`, zero below min_alpha."""
-    while blocks != NONE:
-        block = lowest(blocks)
-        blocks &= blocks - U(1)
-        column = (block & U(ACROSS - 1)) * COLUMN
-        dy = load(pixels, block * U(size) + Y) + form.dy
-        log2_alpha = dy * (dy * form.C + load(columns, column + DX_B)) + load(columns, column + ALONG_X)
-        alpha = minimum(exp2_in_memory(log2_alpha, powers), limits.max_alpha)
-        store(
-            alphas,
-            block * U(LANES),
-            select(greater_equal(log2_alpha, limits.log2_min_alpha), alpha, broadcast(ZERO)),
-        )
-
-
-@kernel(inline=True)
 def add_splat(pixels, size, channels, alphas, colors, blocks, min_transmittance):
     """Blend one splat into `blocks`; returns those in which it has weight. colors: six registers."""
     zero = broadcast(ZERO)
@@ -291,62 +219,6 @@ def write_pixels(pixels, size, colors, depth, tile, background, images):
 
 
 @kernel(inline=True)
-def tile_at(index, tiles_x, starts):
-    """Tile number `index` of an image of tiles_x tiles a row; starts (tiles + 1,): first pair of each."""
-    return Tile((index % tiles_x) * TILE, (index // tiles_x) * TILE, starts[index], starts[index + 1])
-
-
-@kernel(inline=True)
-def write_centres(pixels, size, centres):
-    """Write y of the pixels' centres."""
-    for block in range(U(BLOCKS)):
-        store(pixels, block * U(size) + Y, load(centres, U(2 * BLOCKS + LANES) + block * U(2 * LANES)))
-
-
-@kernel(inline=True)
-def write_transmittance(pixels, size, centres, columns, rows):
-    """Write T before any Gaussian; pixels beyond the image's remaining columns and rows let nothing through."""
-    for block in range(U(BLOCKS)):
-        o, x = block * U(size), load(centres, U(2 * BLOCKS) + block * U(2 * LANES))
-        inside = select(greater(broadcast(F(columns)), x), broadcast(F(1)), broadcast(DEAD))
-        inside = select(greater(broadcast(F(rows)), load(pixels, o + Y)), inside, broadcast(DEAD))
-        store(pixels, o + T, inside)
-
-
-@kernel(inline=True)
-def is_inside(tile, height, width):
-    """Whether all pixels of a tile are in the image."""
-    return tile.left + TILE <= width and tile.top + TILE <= height
-
-
-@kernel(inline=True)
-def first_pixel(block, tile, width):
-    """Number in the image of a block's first pixel."""
-    return (tile.top + np.int64(block // U(ACROSS)) * HEIGHT) * width + tile.left + np.int64(block % U(ACROSS)) * WIDTH
-
-
-@kernel(inline=True)
-def pixel_of(block, lane, tile):
-    """y and x in the image of a pixel of a tile."""
-    y = U(tile.top) + block // U(ACROSS) * U(HEIGHT) + lane // U(WIDTH)
-    x = U(tile.left) + block % U(ACROSS) * U(WIDTH) + lane % U(WIDTH)
-    return y, x
-
-
-@kernel(inline=True)
-def form_of(splats, i, tile):
-    """Form of row i of splats (n, 16), relative to a tile."""
-    return Form(
-        broadcast((F(tile.left) - splats[i, splat.FIRST_X]) - splats[i, splat.U_]),
-        broadcast((F(tile.top) - splats[i, splat.FIRST_Y]) - splats[i, splat.V_]),
-        broadcast(splats[i, splat.A_]),
-        broadcast(splats[i, splat.B_]),
-        broadcast(splats[i, splat.C_]),
-        broadcast(splats[i, splat.LOG2_OPACITY]),
-    )
-
-
-@kernel(inline=True)
 def channels_of(splats, i):
     """Six registers: the channels of row i of splats (n, 16); those not in use hold anything."""
     return (
@@ -357,32 +229,3 @@ def channels_of(splats, i):
         broadcast(splats[i, splat.CHANNELS + 4]),
         broadcast(splats[i, splat.CHANNELS + 5]),
     )
-
-
-@kernel(inline=True)
-def active_blocks(centres, form, log2_min_alpha):
-    """Blocks in which log2(alpha) may be log2_min_alpha or more.
-
-    It is concave, so it lies below its tangent plane at the block's centre: below the value there and |slope| times the
-    distance to the outermost pixels.
-    """
-    dx = load(centres, 0) + form.dx  # all registers of blocks have the same columns
-    a, b = dx * form.A, dx * form.B
-    along_x = dx * a + form.log2_opacity
-    least = log2_min_alpha - ROUNDING
-    blocks = NONE
-    for first in range(0, BLOCKS, LANES):
-        dy = load(centres, BLOCKS + first) + form.dy
-        c = dy * form.C
-        middle = dy * (c + b) + along_x
-        slope_x, slope_y = a * TWO + dy * form.B, c * TWO + b
-        highest = middle + absolute(slope_x) * HALF_WIDTH + absolute(slope_y) * HALF_HEIGHT
-        blocks |= lane_bits(greater_equal(highest, broadcast(least))) << U(first)
-    return blocks
-
-
-@kernel(inline=True)
-def exp2_in_memory(x, table):
-    """2^x to 2.5e-7 relative for a register x, |x| < 126; table: `BlockTables.powers`."""
-    first = (load(table, 0), load(table, LANES), load(table, 2 * LANES))
-    return exp2_by(x, *first, load(table, 3 * LANES), load(table, 4 * LANES), load(table, 5 * LANES))

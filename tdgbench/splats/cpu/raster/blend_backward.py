@@ -18,26 +18,21 @@ import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.blend import (
+from tdgbench.splats.cpu.raster.alphas import COLUMN, DX, TWO, form_of, write_alphas, write_columns
+from tdgbench.splats.cpu.raster.blend import channels_of
+from tdgbench.splats.cpu.raster.blocks import (
     ACROSS,
     BLOCKS,
-    COLUMN,
-    DX,
     LOCAL,
     NONE,
     TABLES,
-    TWO,
     T,
     Y,
-    channels_of,
     first_pixel,
-    form_of,
     is_inside,
     pixel_of,
     tile_at,
-    write_alphas,
     write_centres,
-    write_columns,
     write_transmittance,
 )
 from tdgbench.splats.cpu.raster.tiles import TILE

@@ -11,7 +11,7 @@ import numpy as np
 
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.jit import kernel
-from tdgbench.splats.cpu.raster.blend import NONE
+from tdgbench.splats.cpu.raster.blocks import NONE
 from tdgbench.splats.cpu.raster.projection import camera_point, exponential, ray_limits
 from tdgbench.splats.cpu.raster.types import BOUNDS, GaussianSource, Settings, Span
 from tdgbench.splats.cpu.scratch import Workspace

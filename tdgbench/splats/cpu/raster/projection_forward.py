@@ -15,7 +15,7 @@ from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.adam import apply_deferred, prefetch_gaussian
 from tdgbench.splats.cpu.jit import kernel
 from tdgbench.splats.cpu.raster import types as splat
-from tdgbench.splats.cpu.raster.blend import NONE
+from tdgbench.splats.cpu.raster.blocks import NONE
 from tdgbench.splats.cpu.raster.projection import (
     GATHERED,
     LOG2_E,
