@@ -18,7 +18,7 @@ from tdgbench.training.part import Part, State, Stopping
 from tdgbench.training.rule import Rule, Watched
 from tdgbench.training.skips import Finished, Skip
 
-CONFIDENCE = 0.68  # of the interval of a slope: one standard error to each side, if errors of checks are independent
+CONFIDENCE = 0.9  # of the interval of a slope: 95 % lie below its upper bound, if errors of checks are independent
 IN_A_ROW = 2  # resolutions that are no better: one alone may still suffer from the change
 
 
@@ -31,7 +31,7 @@ class SettlingRule(Rule):
     by as much whenever the iterations double. That slope is the median of the slopes between all pairs of the checks
     since `since` of the iterations so far, at least `slope_checks` (Theil and Sen), which a few outliers hardly move.
     The training stalls when `horizon` further iterations would gain less than `gain` with the upper bound of the
-    slope's 68 % interval, so that noise seldom hides a gain. Nor does it stall there while the Gaussians grow by more
+    slope's 90 % interval, so that noise seldom hides a gain. Nor does it stall there while the Gaussians grow by more
     than `most_growth`: views agree that something is missing, and gain some checks later. At the full resolution, no
     check is made until `full_after`, since nothing has grown.
 
