@@ -28,10 +28,3 @@ def composited(weights: Tensor, values: Tensor, behind: Tensor | None = None) ->
     """
     image = torch.einsum("rs,rsc->rc", weights, values)
     return image if behind is None else image + transmittance_of(weights)[:, None] * behind
-
-
-def median_depth(weights: Tensor, depths: Tensor) -> Tensor:
-    """Return the depth (R,) of the first sample at which half of the light has been absorbed; else of the last one."""
-    absorbed = torch.cumsum(weights, dim=1)
-    first = (absorbed < 0.5).sum(dim=1, keepdim=True).clamp(max=depths.shape[1] - 1)
-    return depths.gather(1, first).squeeze(1)
