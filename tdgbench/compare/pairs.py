@@ -32,7 +32,7 @@ class ComparedCell(NamedTuple):
 class Pairs:
     """Pairs by place and seed, and the records of cells that finished in one experiment alone.
 
-    failed_a: of A, whose cell finished in B; failed_b: likewise. failed_both: of A, of cells that failed in both.
+    failed_a: of A, of cells that finished or are absent in B; failed_b: likewise. failed_both: of A.
     """
 
     by_place: dict[Place, dict[int, ComparedCell]]
@@ -58,6 +58,7 @@ def find_pairs(a: Iterable[Cell], b: Iterable[Cell]) -> Pairs:
     """Match the cells of two experiments."""
     all_a, all_b = ({(place_of(cell.record), cell.record.seed): cell for cell in cells} for cells in (a, b))
     mine, theirs = ({key: one for key, one in cells.items() if one.record.failure is None} for cells in (all_a, all_b))
+    failed_a, failed_b = all_a.keys() - mine.keys(), all_b.keys() - theirs.keys()
     by_place: dict[Place, dict[int, ComparedCell]] = {}
     for place, seed in sorted(mine.keys() & theirs.keys()):
         by_place.setdefault(place, {})[seed] = ComparedCell(mine[place, seed], theirs[place, seed])
@@ -69,7 +70,7 @@ def find_pairs(a: Iterable[Cell], b: Iterable[Cell]) -> Pairs:
         by_place,
         only_a=records(mine, mine.keys() - theirs.keys()),
         only_b=records(theirs, theirs.keys() - mine.keys()),
-        failed_a=records(all_a, (all_a.keys() - mine.keys()) & theirs.keys()),
-        failed_b=records(all_b, (all_b.keys() - theirs.keys()) & mine.keys()),
-        failed_both=records(all_a, (all_a.keys() - mine.keys()) & (all_b.keys() - theirs.keys())),
+        failed_a=records(all_a, failed_a - failed_b),
+        failed_b=records(all_b, failed_b - failed_a),
+        failed_both=records(all_a, failed_a & failed_b),
     )

@@ -89,6 +89,13 @@ def test_a_seed_that_failed_on_one_side_is_named(tmp_path, capsys):
     assert "failed in A, not in B: tdg on RGBT-Scenes/Truck, colmap, seed 2" in capsys.readouterr().out
 
 
+def test_a_seed_that_failed_on_one_side_and_is_absent_on_the_other_is_named(tmp_path, capsys):
+    a, b = two_experiments(tmp_path, [20.0], [20.0])
+    write(b, seed=1, status="failed", failure=Failure("train", "ValueError: no", ""), scores={})
+    main([str(a), str(b)])
+    assert "failed in B, not in A: tdg on RGBT-Scenes/Truck, colmap, seed 1 (failed in train" in capsys.readouterr().out
+
+
 def test_a_seed_that_failed_on_both_sides_is_named(tmp_path, capsys):
     a, b = two_experiments(tmp_path, [20.0], [20.0])
     for folder in (a, b):
