@@ -25,30 +25,36 @@ from tdgbench.resources import conf_folder
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.density import DensityControl
 from tdgbench.splats.optimizer import Adam
+from tdgbench.training.growth import GrowthTest
 from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.settling import Settling
 
-PART_OF_MODULE = {  # modules of kernels, below tdgbench.splats.cpu
+PART_OF_MODULE = {  # modules of kernels, below tdgbench or tdgbench.splats.cpu
     "raster.culling": "project",
     "raster.projection_forward": "project",
     "raster.tiles": "bin",
     "raster.blend": "blend",
     "raster.blend_backward": "blend backward",
     "raster.projection_backward": "projection backward, Adam",
+    "raster.dense": "gather and scatter",
     "adam": "Adam",
     "statistics": "density control",
     "losses.photometric": "losses",
     "losses.rows": "losses",
     "losses.minmax": "losses",
+    "fields.hash_grid": "hash grid",
+    "fields.networks": "networks",
+    "fields.kernels": "Adam",
 }
 REMAINDER = "Python and torch"
 
 
 class StepProfile:
-    """Seconds by part. A part within another counts for itself only."""
+    """Seconds by part. What runs within a part counts for that part: renders of growth are its own."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
-        self._nested: list[float] = []
+        self._is_inside = False
 
     @contextmanager
     def watch(self) -> Iterator[None]:
@@ -56,6 +62,8 @@ class StepProfile:
         with ExitStack() as stack:
             stack.enter_context(self._timed(pool, "run", part_of_kernel))
             stack.enter_context(self._timed(Adam, "step", lambda *_: "Adam"))
+            stack.enter_context(self._timed(GrowthTest, "measure", lambda *_: "growth"))
+            stack.enter_context(self._timed(Settling, "reached", lambda *_: "held-out views"))
             for name in ("observe_visible", "observe_gradients", "update"):
                 stack.enter_context(self._timed(DensityControl, name, lambda *_: "density control"))
             yield
@@ -67,15 +75,14 @@ class StepProfile:
 
         @functools.wraps(original)
         def timed(*args, **kwargs):
-            self._nested.append(0.0)
-            start = time.perf_counter()
+            if self._is_inside:
+                return original(*args, **kwargs)
+            self._is_inside, start = True, time.perf_counter()
             try:
                 return original(*args, **kwargs)
             finally:
-                spent = time.perf_counter() - start
-                self.seconds[part_of(*args)] += spent - self._nested.pop()
-                if self._nested:
-                    self._nested[-1] += spent
+                self._is_inside = False
+                self.seconds[part_of(*args)] += time.perf_counter() - start
 
         setattr(owner, attribute, timed)
         try:
@@ -86,7 +93,7 @@ class StepProfile:
 
 def part_of_kernel(kernel, _arguments) -> str:
     """Part of a step that a kernel belongs to."""
-    return PART_OF_MODULE[kernel.__module__.removeprefix("tdgbench.splats.cpu.")]
+    return PART_OF_MODULE[kernel.__module__.removeprefix("tdgbench.").removeprefix("splats.cpu.")]
 
 
 def measure_step(cfg: DictConfig, steps: int) -> pd.DataFrame:
