@@ -89,7 +89,10 @@ def set_up(
     with observer.phase("init"):
         init: InitialPoints = instantiate(cfg.init.points)
         cloud = init.points(ideal)
-        context = Context(ideal, cloud, priors, budget, backend, int(cfg.seed), skips, method.keeps_all_points)
+        context = Context(
+            ideal, cloud, priors, budget, backend, int(cfg.seed), skips, method.keeps_all_points,
+            method.keeps_full_resolution,
+        )  # fmt: skip
         observer.note("init_points", init.describe(ideal, cloud))
     if compiles and method.trains:
         with observer.phase("compile"):

@@ -229,13 +229,13 @@ class DensityControl:
         small = largest <= rules.clone_max_scale * self.extent
         by_gradients = self._by_gradients()
         decision = decision or by_gradients
-        change.not_grown = int((by_gradients.grow & ~decision.grow).sum())
         remove = self._is_transparent(old) | decision.at_camera
         if iteration > rules.opacity_reset_every:
             remove |= largest > rules.max_world_scale * self.extent
             if rules.screen_radius_prune:
                 remove |= self.max_radii > rules.max_screen_radius
         grow = self._growing(decision, remove, iteration)
+        change.not_grown = int((by_gradients.grow & ~grow).sum())
         clone, split = (grow & small).nonzero().squeeze(1), (grow & ~small).nonzero().squeeze(1)
         change.cloned, change.split = len(clone), len(split)
 

@@ -40,13 +40,14 @@ class Frame:
 class ViewOrder(RandomStream):
     """Views in random order without replacement, reshuffled after each round (3DGS)."""
 
-    changing = ("_order",)
+    changing = ("_order", "_lacks_held_out")
 
     def __init__(self, views: list[View], seed: int, curriculum: Curriculum) -> None:
         """curriculum: which of the views, and at which resolution."""
         super().__init__(seed)
         self.views, self.curriculum = views, curriculum
         self._order: list[int] = []
+        self._lacks_held_out = False  # whether the round does
 
     @property
     def left(self) -> int:
@@ -58,7 +59,20 @@ class ViewOrder(RandomStream):
         if not self._order:
             order = torch.randperm(len(self.views), generator=self.generator).tolist()
             self._order = [i for i in order if self.curriculum.shows(self.views[i])]
+            self._lacks_held_out = self.curriculum.is_holding
+        elif self._lacks_held_out and not self.curriculum.is_holding:
+            self._add_held_out()
         return self.curriculum.at_resolution(self.views[self._order.pop()])
+
+    def _add_held_out(self) -> None:
+        """Add the held-out views to the round, unless the tail is long enough for the next one."""
+        self._lacks_held_out, tail = False, self.curriculum.tail
+        if len(self._order) + len(self.views) > tail:
+            held_out = [i for i, view in enumerate(self.views) if self.curriculum.was_held_out(view)]
+            places = 1 + min(max(tail - len(held_out), 0), len(self._order))
+            for i in held_out:
+                place = int(torch.randint(places, (), generator=self.generator))
+                self._order.insert(len(self._order) - place, i)
 
     @property
     def has_ended(self) -> bool:
@@ -82,6 +96,7 @@ class Context:
     seed: int
     skips: Skips = field(default_factory=Skips)
     keeps_all_points: bool = False  # as of Method
+    keeps_full_resolution: bool = False  # likewise
     learns_rig: bool = False  # of the thermal camera
     rig: Rig | None = None  # of the training that runs
     modality: str = THERMAL.name  # of the stage
@@ -104,7 +119,8 @@ class Context:
             return self.curriculum(self.modality)
         if modality not in self.curricula:
             images, points = MODALITIES[modality], int(self.kept_points(modality).sum())
-            low = [one for rule in rules for one in rule.resolutions(views, images, points, self.budget.iterations)]
+            shrinking = [] if self.keeps_full_resolution else rules
+            low = [one for rule in shrinking for one in rule.resolutions(views, images, points, self.budget.iterations)]
             held_out = [view for rule in rules for view in rule.held_out(views)]
             name = f"{modality}_curriculum" if is_other else "curriculum"
             self.curricula[modality] = self.add_part(name, Curriculum(low, held_out))

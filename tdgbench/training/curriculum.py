@@ -31,7 +31,7 @@ class Curriculum(Part):
     The resolution follows the schedule; `advance` moves to the next one earlier.
     """
 
-    changing = ("_step", "settled_at", "is_holding", "_iteration", "_trained", "has_ended", "checks", "reason")
+    changing = ("_step", "settled_at", "tail", "is_holding", "_iteration", "_trained", "has_ended", "checks", "reason")
 
     def __init__(self, resolutions: list[Resolution] | None = None, held_out: list[View] | None = None) -> None:
         """resolutions: below the full one, the lowest first. held_out: views that are not trained on at first."""
@@ -42,6 +42,7 @@ class Curriculum(Part):
         self._scales = [*(resolution.scale for resolution in self.resolutions), 1]
         self._step = 0  # the resolution in use; that after the last one is the full one
         self.settled_at = 0  # the last iteration before the tail; 0: there is none yet
+        self.tail = 0  # iterations after it
         self.checks: list[list[float]] = []  # of held-out views: iteration, scale, mean PSNR in dB
         self.reason = ""  # why it settled
         self.has_ended = False  # after the tail: the model is trained no more
@@ -62,9 +63,10 @@ class Curriculum(Part):
         """Go on to the next resolution."""
         self._use(min(self._step + 1, len(self.resolutions)))
 
-    def settle(self, scale: int, reason: str = "") -> None:
-        """Train on the held-out views as well from now on, at a fixed scale."""
+    def settle(self, scale: int, tail: float, reason: str = "") -> None:
+        """Train on the held-out views as well from now on, at a fixed scale. tail: share of the iterations so far."""
         self.is_holding, self.settled_at, self.reason = False, max(1, self._iteration), reason
+        self.tail = max(1, round(tail * self.settled_at))
         self._use(self._scales.index(scale))
 
     def _use(self, step: int) -> None:
@@ -88,7 +90,11 @@ class Curriculum(Part):
 
     def shows(self, view: View) -> bool:
         """Return whether a view is trained on."""
-        return not (self.is_holding and view.name in self._names)
+        return not (self.is_holding and self.was_held_out(view))
+
+    def was_held_out(self, view: View) -> bool:
+        """Return whether a view is one of those that were not trained on at first."""
+        return view.name in self._names
 
     def at_resolution(self, view: View) -> View:
         """Return the view at the current resolution."""

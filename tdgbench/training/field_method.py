@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from tdgbench.fields import DensityField, Rays, Region, image_rays, region_of
+from tdgbench.fields import DensityField, Rays, Region, image_rays, rays_of, region_of
 from tdgbench.scenes import Scene
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget, FieldSize
@@ -65,6 +65,8 @@ class FieldMethod(Method):
 
     renders_plain_gaussians = False
     keeps_all_points = True
+    keeps_full_resolution = True
+    pixels_of_check = 1024  # an image takes as long as some ten steps
     rays_at_once: int = 4096  # of an image, which are rendered together
 
     field: Any  # a PlacedField
@@ -113,6 +115,12 @@ class FieldMethod(Method):
             torch.cat(columns).view(size) for columns in ([p.depth for p in parts], [p.transmittance for p in parts])
         )
         return Render(image, depth, transmittance)
+
+    @torch.no_grad()
+    def render_pixels(self, frame: Frame, pixels: Tensor, modality: str) -> Tensor:
+        camera = Pinhole.of(frame.camera).to(self.field.density.grid.table)
+        rays = rays_of(pixels.to(camera.K), camera.K, camera.viewmat)
+        return self.rendered(rays, modality).images[modality].clamp(0, 1)
 
     def step_seconds(self) -> float:
         """Return the time of the field; that of sampling comes on top."""

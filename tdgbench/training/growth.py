@@ -36,7 +36,7 @@ from tdgbench.splats.geometry import rotation_matrices
 from tdgbench.splats.render import footprint_sums, render_view
 from tdgbench.splats.view import GaussianTensors, Pinhole
 from tdgbench.training.rule import DecideGrowth, ModelInputs, Rule
-from tdgbench.training.skips import Finished, Skip, summed
+from tdgbench.training.skips import NO_GAUSSIANS, Finished, Skip, summed
 
 _SLACK = 1e-3  # relative, of distances, against rounding
 TINY = 1e-20  # px, below any weight
@@ -65,8 +65,9 @@ class GrowthRule(Rule):
     def account(self, skip: Skip, training: Finished) -> None:
         not_grown = summed(training.work, "not_grown")
         grown = summed(training.work, "cloned") + summed(training.work, "split")
-        reason = f"{grown} Gaussians grew, on evidence from {self.views} views a round"
-        skip.decide(not_grown > 0, reason, f"growth of {not_grown} Gaussians with large gradients")
+        reason = f"{grown} Gaussians grew, on evidence from up to {self.views} views a round"
+        saved = f"{not_grown} times, growth of a Gaussian with a large gradient"
+        skip.decide(not_grown > 0, reason if training.work else NO_GAUSSIANS, saved)
 
 
 class GrowthTest:

@@ -168,7 +168,10 @@ def _ends(trainer: Trainer, iteration: int, loss: Any) -> bool:
     reached = [rule.reached(iteration, loss) for rule in rules]  # all of them take the loss
     if iteration >= trainer.context.budget.iterations:
         return True
-    return any(reached) and all(part.has_recovered(iteration) for part in trainer.parts.values())
+    if not any(reached):
+        return False
+    may_end = [rule.lets_end(iteration) for rule in rules]
+    return all(may_end) and all(part.has_recovered(iteration) for part in trainer.parts.values())
 
 
 def _line(log: TrainingLog, step: Step, trainer: Trainer) -> LogLine:

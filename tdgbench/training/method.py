@@ -76,6 +76,8 @@ class Method:
     modalities: tuple[str, ...] = ("thermal",)  # the images that it trains on, and renders; `thermal` is scored
     renders_plain_gaussians: bool = True  # each modality's as stored under its name: no hooks, no networks
     keeps_all_points: bool = False  # begins with other than the initial points that a rule of the budget keeps
+    keeps_full_resolution: bool = False  # its steps take as long at low resolutions: no rule begins with these
+    pixels_of_check: int | None = None  # that are rendered of a held-out view by `render_pixels`; None: the whole image
     needs_prior: bool = False  # whether `context.priors` has a depth prior per training view, for a loss of depth
     trains: bool = True  # False: what it renders was made elsewhere; it is set up and makes no step
     notes: Sequence[str] = ()  # of `setup`, for the record and the terminal
@@ -110,6 +112,10 @@ class Method:
         if not hasattr(self, "model"):
             raise NotImplementedError(f"{type(self).__name__} lacks render(self, frame), or self.model, made in setup")
         return self.model.render(frame.camera, depth=True)
+
+    def render_pixels(self, frame: Frame, pixels: Tensor, modality: str) -> Tensor:
+        """Return the values (N, C) of whole pixels (N, 2), x and y, of an image; if `pixels_of_check` is not None."""
+        raise NotImplementedError
 
     def step_seconds(self) -> float:
         """Return the time of the networks of a step, measured after the set-up; rendering comes on top."""

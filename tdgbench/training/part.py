@@ -39,6 +39,10 @@ class Part:
     def stop_growth(self, iteration: int) -> None:
         """Add and remove no Gaussians from an iteration on."""
 
+    def is_filling(self, iteration: int) -> bool:
+        """Return whether a given number of Gaussians is still to be reached."""
+        return False
+
     def has_recovered(self, iteration: int) -> bool:
         """Return whether training may end: the part has recovered from its last large change."""
         return True
@@ -82,6 +86,10 @@ class Stopping(Part):
     def reached(self, iteration: int, loss: float) -> bool:
         """Take the loss of an iteration, after its forward pass; return whether training may end from here on."""
         raise NotImplementedError
+
+    def lets_end(self, iteration: int) -> bool:
+        """Return whether the stage may end now, where some rule has reached its end; asked after `reached`."""
+        return True
 
     @property
     def ends_at(self) -> int | None:

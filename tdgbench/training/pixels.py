@@ -16,7 +16,7 @@ from tdgbench.scenes.images import nearest_valid
 from tdgbench.training.curriculum import Resolution
 from tdgbench.training.images import Modality, noise_of
 from tdgbench.training.rule import Rule
-from tdgbench.training.skips import Finished, Skip
+from tdgbench.training.skips import NO_GAUSSIANS, Finished, Skip
 
 SCALES = (8, 6, 4, 3, 2, 1)
 CERTAIN = 5.0  # times the mean power of noise, which e⁻⁵ of its frequencies exceed
@@ -55,8 +55,11 @@ class PixelRule(Rule):
             f"{count} iterations at 1/{scale}" for scale, count in trained.items() if scale > 1 and count
         )
         left_out = sum(count * (1 - 1 / scale**2) for scale, count in trained.items())
-        nothing = "the images are too small, or all of their spectrum is in their highest frequencies"
-        skip.decide(bool(reason), reason or nothing, f"{left_out / max(sum(trained.values()), 1):.0%} of the pixels")
+        nothing = (
+            "the images are too small for so many Gaussians, or all of their spectrum is in their highest frequencies"
+        )
+        reason = reason or (nothing if training.work else NO_GAUSSIANS)
+        skip.decide(left_out > 0, reason, f"{left_out / max(sum(trained.values()), 1):.0%} of the pixels")
 
 
 def significant_amplitudes(image: np.ndarray, noise: float, scales: tuple[int, ...]) -> np.ndarray:

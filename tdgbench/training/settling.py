@@ -11,8 +11,6 @@ import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveFloat, PositiveInt
 
 from tdgbench.scenes import View
-from tdgbench.splats import Gaussians
-from tdgbench.splats.view import Pinhole
 from tdgbench.training.curriculum import Curriculum, evenly_spread
 from tdgbench.training.part import Part, State, Stopping
 from tdgbench.training.rule import Rule, Watched
@@ -72,19 +70,13 @@ class SettlingRule(Rule):
     def stopping(self, stage: Watched) -> Stopping:
         return Settling(self, stage.iterations, stage.curriculum, stage.parts, stage.psnr_of)
 
-    def warm_up(self, gaussians: Gaussians, camera: Pinhole, backend: str) -> None:
-        import scipy.stats  # noqa: F401  # takes half a second; only trainings with this rule need it
-
     def account(self, skip: Skip, training: Finished) -> None:
         is_early = any(0 < curriculum.settled_at < self.latest(length) for curriculum, length in training.curricula)
         held_out = len(training.curricula[0][0].held_out)
-        if not held_out:
-            reason = "too few training views to hold some out"
-        elif not is_early:
-            reason = f"{held_out} held-out views went on getting better"
-        else:
-            reason = f"{held_out} held-out views no longer gained enough"
-        skip.decide(is_early and training.remaining > 0, reason, training.left_out)
+        reasons = "; ".join(dict.fromkeys(c.reason for c, _ in training.curricula if c.reason))
+        reason = f"{held_out} held-out view{'s' * (held_out != 1)}: {reasons}"
+        none = "too few training views to hold some out"
+        skip.decide(is_early and training.remaining > 0, reason if held_out else none, training.left_out)
 
 
 class Settling(Stopping):
@@ -102,6 +94,8 @@ class Settling(Stopping):
         psnr_of: Callable[[View], float],
     ) -> None:
         """parts: of the stage that runs. psnr_of: renders a view at full resolution and returns its PSNR, dB."""
+        import scipy.stats  # noqa: F401  # takes half a second; only trainings with this rule need it
+
         self.rule, self.iterations, self.curriculum = rule, iterations, curriculum
         self.parts, self.psnr_of = parts, psnr_of
         for part in parts.values():  # the tail of an earlier stage slowed those that it had, too
@@ -119,22 +113,23 @@ class Settling(Stopping):
     def reached(self, iteration: int, loss: float) -> bool:
         if not self.curriculum.settled_at:
             if iteration >= self.rule.latest(self.iterations):
-                self._settle(1, "the last iterations are left, and held-out views may still gain")
+                seen = "held-out views may still gain" if self.curriculum.checks else "no held-out view was looked at"
+                self._settle(1, f"the last iterations are left, and {seen}")
             elif iteration % self.rule.every == 0 and self.curriculum.held_out:
                 self._check(iteration)
         if self.curriculum.settled_at:
             self._slow_down(iteration)
         return self.curriculum.has_ended
 
+    def lets_end(self, iteration: int) -> bool:
+        if not self.curriculum.settled_at:
+            self._settle(self.curriculum.scale, "another rule ended the training")
+        return self.curriculum.has_ended
+
     @property
     def ends_at(self) -> int | None:
         settled_at = self.curriculum.settled_at
-        return settled_at + self._tail if settled_at else None
-
-    @property
-    def _tail(self) -> int:
-        """Iterations after settling."""
-        return max(1, round(self.rule.tail * self.curriculum.settled_at))
+        return settled_at + self.curriculum.tail if settled_at else None
 
     def _check(self, iteration: int) -> None:
         """Render the held-out views; if they stall, go on to the next resolution or settle."""
@@ -151,6 +146,8 @@ class Settling(Stopping):
         self._checks.append((iteration, psnr, gaussians))
         curriculum.checks.append([iteration, curriculum.scale, round(psnr, 3)])
         if not (self._stalls_at_full() if is_full else self._stalls_below()):
+            return
+        if any(part.is_filling(iteration) for part in self.parts.values()):
             return
         is_last = is_full or self._no_better >= IN_A_ROW - 1
         if is_last and not self._is_best(self._last_psnr()):
@@ -173,7 +170,7 @@ class Settling(Stopping):
 
     def _stalls_at_full(self) -> bool:
         """Return whether held-out views stall at the full resolution."""
-        from scipy.stats import theilslopes  # imported by `warm_up`, before the clock
+        from scipy.stats import theilslopes  # imported by the constructor, before the clock
 
         rule, now = self.rule, self._checks[-1][0]
         iterations, psnrs, _ = np.array([check for check in self._checks if check[0] > rule.since * now]).T
@@ -184,12 +181,12 @@ class Settling(Stopping):
 
     def _settle(self, scale: int, reason: str) -> None:
         """Begin the tail, at a scale."""
-        self.curriculum.settle(scale, reason)
+        self.curriculum.settle(scale, self.rule.tail, reason)
         self._stop_growth()
 
     def _slow_down(self, iteration: int) -> None:
         """Set the learning rates of an iteration of the tail; end the training after the last one."""
-        progress = min(1.0, (iteration - self.curriculum.settled_at) / self._tail)
+        progress = min(1.0, (iteration - self.curriculum.settled_at) / self.curriculum.tail)
         for part in self.parts.values():
             part.set_slowdown(self.rule.slowdown**progress)
         self.curriculum.has_ended = progress == 1.0
@@ -237,6 +234,10 @@ class AllSettled(Stopping):
     def reached(self, iteration: int, loss: float) -> bool:
         reached = [rule.reached(iteration, loss) for rule in self.rules.values()]  # all of them look
         return all(reached)
+
+    def lets_end(self, iteration: int) -> bool:
+        may_end = [rule.lets_end(iteration) for rule in self.rules.values()]
+        return all(may_end)
 
     @property
     def ends_at(self) -> int | None:

@@ -178,6 +178,10 @@ class SplatModel(Part):
         rules = self.density.rules
         self.density.rules = replace(rules, stop=min(rules.stop, iteration))
 
+    def is_filling(self, iteration: int) -> bool:
+        filled_at = self.density.rules.filled_at
+        return filled_at is not None and iteration <= filled_at
+
     def set_slowdown(self, factor: float) -> None:
         self.optimizer.slowdown = factor
 

@@ -152,11 +152,23 @@ class Trainer:
     @torch.no_grad()
     def psnr_of(self, view: View, modality: str = THERMAL.name) -> float:
         """Return the PSNR (dB) of a render of a modality from a view, at the pixels that count."""
-        images = MODALITIES[modality]
+        images, frame, count = MODALITIES[modality], self.context.frame(view), self.method.pixels_of_check
         image, valid = images.array(view), images.valid(view)
-        error: np.ndarray = self.method.render(self.context.frame(view), images.name).image.cpu().numpy() - image
-        error = error.reshape(-1, error.shape[2]) if valid is None else error[valid]
+        if count is None:
+            error: np.ndarray = self.method.render(frame, images.name).image.cpu().numpy() - image
+            error = error.reshape(-1, error.shape[2]) if valid is None else error[valid]
+        else:
+            pixels = some_pixels(np.ones(image.shape[:2], bool) if valid is None else valid, count)
+            shown = self.method.render_pixels(frame, torch.from_numpy(pixels), images.name)
+            error = shown.cpu().numpy() - image[pixels[:, 1], pixels[:, 0]]
         return -10 * math.log10(max(float(np.square(error).mean(dtype=np.float64)), _MIN_MSE))
+
+
+def some_pixels(valid: np.ndarray, count: int) -> np.ndarray:
+    """Return x and y (N, 2) of pixels drawn without replacement from those where `valid` (H, W), always the same."""
+    rows, columns = np.nonzero(valid)
+    drawn = np.random.default_rng(0).permutation(len(rows))[:count]
+    return np.stack([columns[drawn], rows[drawn]], axis=1)
 
 
 class Pending:

@@ -19,10 +19,13 @@ OFTEN = (  # with a plateau that is watched but never reached
     "budget.density.reset_recovery=1", "budget.sh_every=12",
     "budget.plateau.epochs=1", "budget.plateau.patience=50", "budget.plateau.gain=0", "budget.plateau.after=0",
 )  # fmt: skip
-LEAN = (  # every rule of the lean budget: images are small at first; it settles in iteration 48
+LEAN = (  # every rule of the lean budget: points are left out, images are small at first; it settles before the end
     "budget=lean", "budget.density.start=10", "budget.density.every=10", "budget.pixels.smallest_side=8",
-    "budget.settling.fewest=1", "budget.settling.every=5", "budget.settling.gain=0.001",
+    "budget.points.most=1", "budget.settling.fewest=1", "budget.settling.every=5", "budget.settling.gain=50",
+    "budget.settling.checks=4", "budget.settling.slope_checks=3", "budget.settling.since=0",
+    "budget.settling.full_after=0", "budget.settling.most_growth=50", "budget.settling.tail=0.3",
 )  # fmt: skip
+SETTLED = 30  # the iteration; the tail has 9 more
 
 
 def set_up(scene, name: str, *overrides: str) -> Trainer:
@@ -41,7 +44,10 @@ def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, 
     trainer = set_up(small_gray_scene, name)
     calm = train(trainer)
     wanted = digest(trainer)
-    stops = [1, 9, 10, 26, 47]
+    if name == "lean":
+        model, curriculum = trainer.gaussians["thermal"], trainer.context.curricula["thermal"]
+        assert curriculum.settled_at == SETTLED and calm.iterations == 39 and model.work.points_left_out > 0
+    stops = [1, 9, 10, 26, SETTLED - 1, SETTLED, SETTLED + 6]
     trainer, log = train_killed(lambda: set_up(small_gray_scene, name), tmp_path / "a.pt", stops)
     assert log.resumed == stops
     assert timeless(log) == timeless(calm)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,8 +26,22 @@ def test_held_out_views_are_not_trained_on_until_they_are_folded_back(small_scen
     order = ViewOrder(views, 0, curriculum)
     shown = sorted(order.next().name for _ in range(len(views) - 2))
     assert shown == sorted(view.name for view in views if view not in views[1:3])
-    curriculum.settle(1)
+    curriculum.settle(1, 0.1)
     assert sorted(order.next().name for _ in views) == sorted(view.name for view in views)
+
+
+@pytest.mark.parametrize("count", [12, 200])
+def test_held_out_views_come_within_the_tail_of_a_round_that_has_begun(small_scene, count):
+    views = [replace(small_scene.train[0], name=str(i)) for i in range(count)]
+    curriculum = Curriculum(held_out=views[::25])
+    order = ViewOrder(views, 0, curriculum)
+    for _ in range(5):
+        order.next()
+    curriculum.begin(300)
+    curriculum.settle(1, 0.1)
+    shown = [order.next().name for _ in range(curriculum.tail)]
+    assert curriculum.tail == 30 and {view.name for view in curriculum.held_out} <= set(shown)
+    assert len(set(shown)) == min(count, curriculum.tail)  # no view comes twice in a round
 
 
 def test_it_goes_on_before_the_schedule_and_may_go_back_for_good():
@@ -36,7 +52,7 @@ def test_it_goes_on_before_the_schedule_and_may_go_back_for_good():
     curriculum.begin(2)
     curriculum.begin(21)
     assert curriculum.is_at_full_resolution
-    curriculum.settle(2)
+    curriculum.settle(2, 0.1)
     curriculum.begin(22)
     assert curriculum.scale == 2 and curriculum.iterations == {4: 1, 2: 2, 1: 1}
     curriculum.held_out = [None]  # type: ignore[list-item]

@@ -87,7 +87,7 @@ def test_views_are_small_and_held_out_as_the_curriculum_says(small_gray_scene):
     assert x.max() < small[0].camera.width <= views[0].camera.width / 3
     assert batch.pixels["thermal"][7, 0] == small[batch.views[7]].thermal[y[7], x[7], 0]
     curriculum.begin(6)
-    curriculum.settle(1)
+    curriculum.settle(1, 0.1)
     assert 1 in drawn.next(3000).views and drawn.next(3000).rays.origins.shape == (3000, 3)
 
 

@@ -7,7 +7,7 @@ import torch
 from tdgbench.training.curriculum import Curriculum, Resolution
 from tdgbench.training.images import MODALITIES
 from tdgbench.training.loop import train
-from tdgbench.training.part import Part
+from tdgbench.training.part import Part, Stopping
 from tdgbench.training.settling import AllSettled, Settling, SettlingRule
 from tests.helpers.masks import masked_scene
 from tests.helpers.training import digest_of_all, ready_to_train, train_killed
@@ -299,3 +299,54 @@ def test_a_model_settles_by_the_valid_pixels_of_its_modality(small_gray_scene, m
         wanted = squares if valid is None else squares[valid]
         assert rule.psnr_of(view) == pytest.approx(-10 * np.log10(wanted.mean()))
         assert set(rule.parts) & {"rgb", "thermal"} == {name}
+
+
+def test_a_training_that_another_rule_ends_has_its_tail():
+    scripted = Scripted(lambda iteration, scale: 20 + iteration, held_out=(0, 1))
+    assert not scripted.reached(40) and not scripted.settling.lets_end(40)
+    curriculum = scripted.curriculum
+    assert curriculum.settled_at == 40 and curriculum.tail == 20 and not curriculum.is_holding
+    assert curriculum.reason == "another rule ended the training" and scripted.part.stopped == [40]
+    assert not scripted.reached(59) and not scripted.settling.lets_end(59)
+    assert scripted.reached(60) and scripted.settling.lets_end(60) and scripted.part.rate == pytest.approx(0.1)
+
+
+class EndsAt30(Stopping):
+    def reached(self, iteration, loss):
+        return iteration >= 30
+
+
+def test_the_loop_asks_the_rule_before_another_one_ends_the_training(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "3dgs", 60, CONF.replace("gain:50", "gain:1e-9"))
+    trainer.context.add_part("end", EndsAt30())
+    assert train(trainer).iterations == 45  # half of 30 more
+    assert trainer.context.curricula["thermal"].settled_at == 30
+
+
+def test_nothing_settles_before_a_given_number_of_gaussians_is_reached():
+    filling = Scripted(lambda iteration, scale: 20.0)
+    filling.part.is_filling = lambda iteration: iteration < 400
+    first = next(i for i in range(10, 1000, 10) if filling.reached(i) or filling.curriculum.settled_at)
+    assert first == 400
+
+
+def test_radiance_fields_check_some_pixels_and_keep_their_resolution(small_gray_scene, monkeypatch):
+    trainer = ready_to_train(
+        small_gray_scene, "thermonerf_thermal", 20, "budget=lean", "budget.iterations=20", "budget.field.rays=64",
+        "budget.pixels.smallest_side=8", "budget.settling.fewest=1", "budget.settling.every=5",
+        "budget.settling.full_after=0",
+    )  # fmt: skip
+    trainer.method.pixels_of_check, asked = 50, []
+    some = trainer.method.render_pixels
+    monkeypatch.setattr(trainer.method, "render_pixels", lambda *words: asked.append(words) or some(*words))
+    monkeypatch.setattr(trainer.method, "render", None)
+    train(trainer)
+    curriculum = trainer.context.curricula["thermal"]
+    assert curriculum.iterations == {1: 20} and [check[0] for check in curriculum.checks] == [5, 10, 15]
+    assert len(asked) == 3 and all(torch.equal(pixels, asked[0][1]) for _, pixels, _ in asked)
+    monkeypatch.undo()
+    view = curriculum.held_out[0]
+    trainer.method.pixels_of_check = view.camera.width * view.camera.height
+    of_all = trainer.psnr_of(view)
+    trainer.method.pixels_of_check = None
+    assert of_all == pytest.approx(trainer.psnr_of(view), abs=1e-5)
