@@ -57,7 +57,8 @@ class DepthRegularised(Method):
         degree = min(budget.sh_degree, self.sh_degree)
         self.model = context.gaussians(budget=replace(budget, sh_degree=degree, density=self._density(budget.density)))
         self.views = context.views()
-        self.targets = Targets(metric_depths(context.scene, context.priors, self.occlusion), context.device)
+        if context.priors:  # there are none where a training is looked at from outside
+            self.targets = Targets(metric_depths(context.scene, context.priors, self.occlusion), context.device)
         self.rise = None
         if self.stop_after is not None:
             self.rise = context.add_part("depth_loss", Rise(self.stop_after, self.stop_every))

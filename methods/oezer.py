@@ -27,6 +27,7 @@ from tdgbench.fields import (
     march,
 )
 from tdgbench.fields.volume import composited, transmittance_of, weights_of
+from tdgbench.scenes import TemperatureRange
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.field_method import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
@@ -44,7 +45,7 @@ class Output(NamedTuple):
     head: str
     first: int
     end: int
-    is_white_behind: bool = True  # else black
+    behind: float = 1.0  # what lies behind all samples
     moves_density: bool = True  # whether the image's gradient reaches the densities
 
 
@@ -73,7 +74,7 @@ class InstantField(PlacedField):
         images = {}
         for modality, output in outputs.items():
             table = marched.table(values[output.head][:, output.first : output.end])
-            behind = table.new_ones(table.shape[2]) if output.is_white_behind else None
+            behind = table.new_full(table.shape[2:], output.behind)
             images[modality] = composited(weights if output.moves_density else weights.detach(), table, behind)
         depth = composited(weights, marched.depths[..., None]).squeeze(1)
         return Marching(images, depth, transmittance_of(weights), len(marched.contracted))
@@ -138,12 +139,13 @@ class AveragedNetwork(Network):
 
 @dataclass
 class InstantThermal(FieldMethod):
-    """L = Σ mean (image − target)² over the modalities; what the four have in common.
+    """L = Σ w mean (image − target)² over the modalities, w = 1 but for `released_domain`; what the four share.
 
     A subclass sets `outputs`, by modality, and makes the field of them by `begin`.
     """
 
     rays_at_once = 512  # with up to a thousand samples each
+    thermal_weight = 1.0
 
     rates: list[PositiveFloat]  # first and last; they fall log-linearly
     rate_end: Share  # of all iterations; the last rate is reached there, and stays
@@ -200,6 +202,8 @@ class InstantThermal(FieldMethod):
         shown = self.field(batch.rays, self.outputs, self.jitter)
         self.count.note(shown.points)
         terms = {name: (image - batch.pixels[name]).square().mean() for name, image in shown.images.items()}
+        if "thermal" in terms:
+            terms["thermal"] = self.thermal_weight * terms["thermal"]
         modality = "thermal" if "thermal" in terms else "rgb"
         render = Render(shown.images[modality][:, None], None, shown.transmittance[:, None])  # a column of pixels
         return Step(sum(terms.values()), terms, render, batch.pixels[modality][:, None])
@@ -218,6 +222,21 @@ class InstantThermal(FieldMethod):
         return POINTS_OF_RAY * self.size.rays
 
 
+def released_domain(temperature: TemperatureRange | None) -> tuple[float, float]:
+    """Return the weight with which squared errors of image values are those of released targets, and the value of 0 °C.
+
+    Released targets are temperatures over the scene's largest one (`--tv`, colmap_provider.py). Without a range, or
+    where nothing is above 0 °C, image values count as they are: 1 and 0.
+
+    >>> released_domain(TemperatureRange(20.0, 40.0))
+    (0.25, -1.0)
+    """
+    if temperature is None or temperature.max <= 0:
+        return 1.0, 0.0
+    span = temperature.max - temperature.min
+    return (span / temperature.max) ** 2, -temperature.min / span
+
+
 class Scratch(InstantThermal):
     """Thermal images alone, from scratch (`--ts`)."""
 
@@ -232,20 +251,22 @@ class SecondBranch(InstantThermal):
     modalities = ("thermal", "rgb")
 
     def setup(self, context: Context) -> None:
+        self.thermal_weight, _ = released_domain(context.scene.temperature)
         outputs = {"rgb": Output("image", 0, 3), "thermal": Output("image", 3, 3 + context.scene.channels)}
         self.begin(context, outputs, context.budget.schedule_length)
 
 
 @dataclass
 class Separate(InstantThermal):
-    """SC: a head for colour, another one for temperature, black behind temperatures (`--sc`)."""
+    """SC: a head for colour, another one for temperature, 0 °C behind temperatures (`--sc`)."""
 
     modalities = ("thermal", "rgb")
 
     temperature_moves_density: bool  # False: the gradient of the density leaves out the temperature
 
     def setup(self, context: Context) -> None:
-        thermal = Output("temperature", 0, context.scene.channels, False, self.temperature_moves_density)
+        self.thermal_weight, zero = released_domain(context.scene.temperature)
+        thermal = Output("temperature", 0, context.scene.channels, zero, self.temperature_moves_density)
         self.begin(context, {"rgb": Output("image", 0, 3), "thermal": thermal}, context.budget.schedule_length)
 
 

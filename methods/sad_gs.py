@@ -2,9 +2,10 @@
 
 Constants and order are those of umautobots/SAD-GS, commit f9055f74, with the options of its full method
 (demo_run_batch_replica.py). That is for RGB-D images of rooms, with depth in metres. Here, images are thermal; a metric
-prior is taken as it is, another one is aligned to sparse points (`methods.aligned_depth`). Two resets differ: 3DGS's
-opacity reset ends with density control, and comes not so late that the saved model has not recovered (the authors make
-one at the last iteration, after saving); opacities do not fade soon after it, while they are low for all Gaussians.
+prior is taken as it is, another one is aligned to sparse points (`methods.aligned_depth`). Numbers of iterations are
+shares of the authors' 2 000. Two resets differ: 3DGS's opacity reset comes not so late that the saved model has not
+recovered (the authors make one at the last iteration, after saving); opacities do not fade soon after it, while they
+are low for all Gaussians.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import torch
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 from torch import Tensor
 
 from methods.aligned_depth import metric_depths
@@ -29,6 +30,7 @@ from tdgbench.splats.geometry import rotation_matrices
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
 from tdgbench.splats.view import GaussianTensors, Pinhole
+from tdgbench.training.budget import Budget
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import photometric
@@ -56,31 +58,44 @@ class SADGS(Method):
     blur: PositiveFloat  # added to variances, square metres
     tolerance: NonNegativeFloat  # of support
     fade: Annotated[float, Field(gt=0, le=1)]  # factor of opacities without support
-    fade_every: PositiveInt
-    fade_pause: NonNegativeInt  # iterations after an opacity reset
-    densify_from: NonNegativeInt | None  # iteration; None: as the budget
-    reset_every: PositiveInt | None  # iterations; None: as the budget
+    fade_every: Share  # of all iterations
+    fade_pause: Share  # of all iterations, after an opacity reset
+    densify_from: Share | None  # of all iterations; None: as the budget
+    reset_every: Share | None  # of all iterations; None: as the budget
+    to_the_end: bool  # whether density control goes on to the last iteration; else it stops as the budget says
     occlusion: NonNegativeFloat | None  # see `metric_depths`
 
     def setup(self, context: Context) -> None:
         scene, budget = context.scene, context.budget
         self.unit = 1.0 if self.metre is None else self.metre * scene.extent
+        if not context.priors:  # where a training is looked at from outside
+            self.model = context.gaussians()
+            return
         depths = metric_depths(scene, context.priors, self.occlusion)
         self.surfaces = context.add_part("surfaces", Surfaces(scene, depths, context.device, self.unit))
         start = voxel_gaussians(*self.surfaces.points(), self.voxel * self.unit, budget.sh_degree)
-        budget = replace(budget, density=self._density(budget.density))
+        budget = replace(budget, density=self._density(budget))
         self.model, self.views = context.gaussians(start=start, budget=budget), context.views()
         self.draws, self.last = context.random("free_points"), budget.iterations
 
-    def _density(self, rules: DensityRules) -> DensityRules:
+    def _density(self, budget: Budget) -> DensityRules:
         """Return the density control of 3DGS with fading; another one stays as it is, without."""
+        rules = budget.density
         if type(rules) is not DensityRules:
             return rules
-        start = rules.start if self.densify_from is None else self.densify_from
-        every = rules.opacity_reset_every if self.reset_every is None else self.reset_every
-        supported = partial(self.surfaces.support, tolerance=self.tolerance * self.unit)
-        given = {**vars(rules), "start": start, "opacity_reset_every": every, "supported": supported}
-        return SupportRules(**given, fade=self.fade, fade_every=self.fade_every, fade_pause=self.fade_pause)
+
+        def count(share: float) -> int:
+            return max(1, round(share * budget.schedule_length))
+
+        given = {**vars(rules), "supported": partial(self.surfaces.support, tolerance=self.tolerance * self.unit)}
+        if self.densify_from is not None:
+            given["start"] = round(self.densify_from * budget.schedule_length)
+        if self.reset_every is not None:
+            given["opacity_reset_every"] = count(self.reset_every)
+        if self.to_the_end:
+            given["stop"] = budget.iterations + 1
+        pause = round(self.fade_pause * budget.schedule_length)
+        return SupportRules(**given, fade=self.fade, fade_every=count(self.fade_every), fade_pause=pause)
 
     def step(self, iteration: int) -> Step:
         view, free, unit = self.views.next(), list[Tensor](), self.unit
@@ -105,8 +120,8 @@ class SupportRules(DensityRules):
     """Rules of 3DGS, and opacities that fade where no training view has a surface."""
 
     fade: float
-    fade_every: int
-    fade_pause: int
+    fade_every: int  # iterations
+    fade_pause: int  # iterations
     supported: Callable[[Tensor], Tensor]  # of means (N, 3): which are near a surface (N,)
 
     def control(self, extent: float, state: TrainingState, iterations: int) -> DensityControl:

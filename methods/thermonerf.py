@@ -35,8 +35,10 @@ from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.field_method import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
 from tdgbench.training.method import Share, Step
-from tdgbench.training.part import Network
+from tdgbench.training.part import Network, Part
 from tdgbench.training.rays import RayBatch
+
+ALWAYS = 10  # first iterations in which proposals make a step: nerfstudio, ray_samplers.py
 
 
 @dataclass
@@ -114,6 +116,27 @@ class ThermalField(PlacedField):
         return Sampled(images, depth, torch.zeros_like(depth), weights, samples, proposed)
 
 
+class ProposalTurns(Part):
+    """Says in which iterations the proposals make a step: ever fewer (nerfstudio's ProposalNetworkSampler).
+
+    The number of iterations since the last one, which counts it, must exceed a threshold, which rises from 1.
+    """
+
+    changing = ("since",)
+
+    def __init__(self, every: int, warm_up: float) -> None:
+        """every: the last threshold. warm_up: iterations, in which it is reached."""
+        self.every, self.warm_up, self.since = every, warm_up, 0
+
+    def takes(self, iteration: int) -> bool:
+        """Return whether an iteration, each in turn, is one; the first ones are."""
+        before = max(iteration - 2, 0)  # the number, from 0, of the iteration before
+        threshold = max(1.0, self.every * min(before / max(self.warm_up, 1.0), 1.0))
+        is_one = self.since > threshold or before < ALWAYS
+        self.since = 1 if is_one else self.since + 1
+        return is_one
+
+
 @dataclass
 class ThermoNeRF(FieldMethod):
     """L = L_rgb + λ_thermal L_thermal + λ_interlevel L_interlevel + λ_distortion L_distortion, the first two MSEs."""
@@ -133,7 +156,7 @@ class ThermoNeRF(FieldMethod):
     proposal_finest: list[PositiveInt]  # by proposal network; the last ones, where the budget has fewer
     proposal_width: PositiveInt
     proposal_log2_rows: PositiveInt  # or the budget's, if smaller
-    proposal_every: PositiveInt  # iterations between steps of the proposals
+    proposal_every: PositiveInt  # iterations that pass between steps of the proposals
     proposal_warm_up: Share  # of all iterations, over which these become so many
     annealing_end: Share  # of all iterations
 
@@ -160,12 +183,14 @@ class ThermoNeRF(FieldMethod):
         self.field = module
         self.batches = context.rays(self.modalities, maps=self.maps(context))
         self.jitter = context.random("jitter")
+        turns = ProposalTurns(self.proposal_every, self.proposal_warm_up * self.iterations)
+        self.turns = context.add_part("proposal_turns", turns)
 
     def step(self, iteration: int) -> Step:
         self.place()
         batch = self.batches.next(self.size.rays)
         annealing = annealed(iteration / max(self.annealing_end * self.iterations, 1))
-        learns = self._proposals_learn(iteration)
+        learns = self.turns.takes(iteration)
         shown = self.field(batch.rays, self.modalities, batch.views, self.jitter, annealing, learns)
         terms = {name: functional.mse_loss(image, batch.pixels[name]) for name, image in shown.images.items()}
         loss = self.lambda_thermal * terms["thermal"] + terms.get("rgb", 0.0)
@@ -197,8 +222,3 @@ class ThermoNeRF(FieldMethod):
         """Return the sum of density and temperatures; the time of the proposals comes on top."""
         densities, features = self.field.density(positions)
         return densities.sum() + self.field.thermal(features).sum()
-
-    def _proposals_learn(self, iteration: int) -> bool:
-        """Return whether the proposals make a step: always at first, then in ever fewer iterations (nerfacto)."""
-        progress = iteration / max(self.proposal_warm_up * self.iterations, 1)
-        return iteration % max(1, round(self.proposal_every * min(progress, 1.0))) == 0

@@ -36,15 +36,16 @@ class Spacing(NamedTuple):
 
 
 def stratified_edges(rays: int, count: int, generator: torch.Generator | None) -> Tensor:
-    """Return the edges (rays, count + 1) in [0, 1] of `count` intervals: even ones, whose inner edges are shifted.
+    """Return the edges (rays, count + 1) in [0, 1] of `count` intervals: even ones that are shifted, as nerfstudio's.
 
-    generator: of one shift for each ray, by up to half an interval; None: no shift.
+    generator: of one shift for each ray, by up to half an interval, from 0 inwards and from 1 inwards; None: no shift.
     """
     even = torch.linspace(0, 1, count + 1)
     if generator is None:
         return even.expand(rays, -1)
-    shift = (torch.rand(rays, 1, generator=generator) - 0.5) / count
-    return torch.cat([even[:1].expand(rays, 1), even[1:-1] + shift, even[-1:].expand(rays, 1)], dim=1)
+    middles = (even[1:] + even[:-1]) / 2
+    first, last = torch.cat([even[:1], middles]), torch.cat([middles, even[-1:]])
+    return first + (last - first) * torch.rand(rays, 1, generator=generator)
 
 
 def resampled_edges(edges: Tensor, weights: Tensor, count: int, generator: torch.Generator | None) -> Tensor:

@@ -33,10 +33,13 @@ def test_spacing_is_linear_and_then_even_in_disparity():
     assert torch.allclose(near, near[:1]) and torch.allclose(far, far[:1]) and len(near) > 100 and len(far) > 100
 
 
-def test_stratified_edges_ascend_from_0_to_1_and_are_even_on_average():
+def test_stratified_edges_ascend_within_0_to_1_and_are_even_on_average():
     edges = stratified_edges(20_000, 8, stream())
-    assert (edges.diff(dim=1) >= 0).all() and (edges[:, 0] == 0).all() and (edges[:, -1] == 1).all()
-    assert torch.allclose(edges.mean(dim=0), torch.linspace(0, 1, 9), atol=2e-3)
+    assert (edges.diff(dim=1) >= 0).all() and edges.min() >= 0 and edges.max() <= 1
+    assert edges[:, 0].max() <= 1 / 16 and edges[:, -1].min() >= 15 / 16  # the ends move inwards
+    even = torch.linspace(0, 1, 9)
+    even[0], even[-1] = 1 / 32, 31 / 32
+    assert torch.allclose(edges.mean(dim=0), even, atol=2e-3)
     assert torch.equal(stratified_edges(2, 8, None)[1], torch.linspace(0, 1, 9))
     assert torch.equal(edges, stratified_edges(20_000, 8, stream()))
 

@@ -24,7 +24,8 @@ def trainers(small_gray_scene):
     """Each strategy after a short training, by name."""
     trainers = {}
     for name in ("oezer_scratch", *JOINT, "oezer_finetune"):
-        trainers[name] = ready_to_train(small_gray_scene, name, 300 if name == "oezer_finetune" else 200, *SIZE)
+        iterations = 200 if name in ("oezer_scratch", "oezer_second_branch") else 300
+        trainers[name] = ready_to_train(small_gray_scene, name, iterations, *SIZE)
         trainers[name].log = train(trainers[name])
     return trainers
 
@@ -94,7 +95,7 @@ def test_readings_of_the_gradient_render_the_same(trainers):
     assert torch.equal(*images)
 
 
-def test_white_is_behind_all_but_the_separate_temperature(trainers):
+def test_white_is_behind_all_but_the_separate_temperature(trainers, small_gray_scene):
     """Where no cell is occupied, rays show what is behind."""
     for name in ("oezer_scratch", *JOINT):
         method = trainers[name].method
@@ -102,11 +103,26 @@ def test_white_is_behind_all_but_the_separate_temperature(trainers):
         field.occupancy.densities.zero_()
         shown = field(rays_of(trainers[name])[0], method.outputs)
         for modality, image in shown.images.items():
-            behind = 0.0 if (name, modality) == ("oezer_separate", "thermal") else 1.0
-            assert torch.equal(image, torch.full_like(image, behind))
+            degC = small_gray_scene.temperature
+            zero = -degC.min / (degC.max - degC.min)
+            behind = zero if (name, modality) == ("oezer_separate", "thermal") else 1.0
+            assert torch.allclose(image, torch.full_like(image, behind))
         assert shown.points == 0 and not shown.depth.any()
         sum(image.sum() for image in shown.images.values()).backward()
         assert not any(parameter.grad is not None and parameter.grad.any() for parameter in field.parameters())
+
+
+@pytest.mark.parametrize("name", JOINT)
+def test_errors_of_temperature_count_as_shares_of_the_largest(small_gray_scene, name):
+    method = ready_to_train(small_gray_scene, name, 20, *SIZE).method
+    step, degC = method.step(1), small_gray_scene.temperature
+    span = degC.max - degC.min
+    shown, target = ((degC.min + span * image) / degC.max for image in (step.render.image, step.target))
+    assert step.terms["thermal"].item() == pytest.approx((shown - target).square().mean().item(), rel=1e-5)
+    scene = copy.copy(small_gray_scene)
+    scene.temperature = None
+    method = ready_to_train(scene, name, 20, *SIZE).method
+    assert method.thermal_weight == 1 and method.outputs["thermal"].behind == (name == "oezer_second_branch")
 
 
 @pytest.mark.parametrize("name", JOINT)

@@ -17,7 +17,12 @@ from tests.helpers.training import ready_to_train, train
 NAME, OPTION = "sad_gs", "method.method."
 ERRORS = ("blur_px", "noise", "bumps")
 TRUE = ("prior.estimator.kind=metric", *(f"prior.estimator.{name}=0" for name in ERRORS))
-OFTEN = (f"{OPTION}fade_every=10", f"{OPTION}densify_from=10", "budget.density.every=10", f"{OPTION}metre=0.1")
+
+
+def often(iterations):
+    """Options with which opacities fade, and rounds are, every ten iterations."""
+    shares = (f"{OPTION}{name}={10 / iterations}" for name in ("fade_every", "densify_from"))
+    return *shares, "budget.density.every=10", f"{OPTION}metre=0.1"
 
 
 def gaussians_of(trainer):
@@ -25,14 +30,13 @@ def gaussians_of(trainer):
 
 
 def test_a_metric_prior_puts_opaque_gaussians_on_surfaces(small_gray_scene):
-    trainer = ready_to_train(small_gray_scene, NAME, 20, *TRUE)
+    trainer, logits = ready_to_train(small_gray_scene, NAME, 20, *TRUE, f"{OPTION}fade_every=1"), []
     gaussians, unit = gaussians_of(trainer).gaussians, trainer.reports()["surfaces"]["metre"]
     assert unit == pytest.approx(0.4 * small_gray_scene.extent)
     assert bool((gaussians.opacities == 1).all()) and len(gaussians) > 50
     assert trainer.method.surfaces.support(gaussians.means, 0.05 * unit).float().mean() > 0.5
-    before = gaussians.opacity_logits.clone()
-    train(trainer)
-    assert bool((gaussians_of(trainer).gaussians.opacity_logits == before).all())  # no gradient until a reset
+    train(trainer, after_iteration=lambda log: logits.append(gaussians_of(trainer).copy().opacity_logits))
+    assert torch.equal(logits[0], logits[-2])  # no gradient until a reset
 
 
 def test_a_prior_that_is_not_metric_is_aligned(small_gray_scene):
@@ -124,7 +128,8 @@ def test_the_free_space_loss_is_that_of_all_pairs_in_cubes():
 
 
 def test_what_no_view_supports_fades_and_is_pruned(small_gray_scene):
-    trainer = ready_to_train(small_gray_scene, NAME, 31, *TRUE, *OFTEN, "budget.density.stop=25")
+    stops = (f"{OPTION}to_the_end=false", "budget.density.stop=25")
+    trainer = ready_to_train(small_gray_scene, NAME, 31, *TRUE, *often(31), *stops)
     model, counts, faded = gaussians_of(trainer), {}, {}
     away = model.state.values[:20]
     away[:, model.state.columns_of("means")] += 100.0
@@ -141,8 +146,8 @@ def test_what_no_view_supports_fades_and_is_pruned(small_gray_scene):
 
 
 def test_fading_pauses_after_a_reset_and_leaves_opacities_without_a_step(small_gray_scene):
-    resets = (f"{OPTION}reset_every=20", f"{OPTION}fade_pause=15", "budget.density.reset_recovery=0")
-    model = gaussians_of(ready_to_train(small_gray_scene, NAME, 60, *TRUE, *OFTEN, *resets))
+    resets = (f"{OPTION}reset_every={20 / 60}", f"{OPTION}fade_pause=0.25", "budget.density.reset_recovery=0")
+    model = gaussians_of(ready_to_train(small_gray_scene, NAME, 60, *TRUE, *often(60), *resets))
     fading = [iteration for iteration in range(1, 61) if model.density.fades(iteration)]
     assert fading == [10, 20, 40, 60]  # 30 and 50 are within 15 iterations of the resets at 20 and 40
     for iteration in (9, 10):
@@ -151,8 +156,8 @@ def test_fading_pauses_after_a_reset_and_leaves_opacities_without_a_step(small_g
 
 
 def test_the_last_iteration_fades_but_neither_prunes_nor_resets(small_gray_scene):
-    ends = (f"{OPTION}tolerance=0", f"{OPTION}reset_every=5")
-    trainer = ready_to_train(small_gray_scene, NAME, 10, *TRUE, *OFTEN, *ends)
+    ends = (f"{OPTION}tolerance=0", f"{OPTION}reset_every=0.5")
+    trainer = ready_to_train(small_gray_scene, NAME, 10, *TRUE, *often(10), *ends)
     count = len(gaussians_of(trainer))
     train(trainer)
     opacities = gaussians_of(trainer).gaussians.opacities
@@ -160,10 +165,12 @@ def test_the_last_iteration_fades_but_neither_prunes_nor_resets(small_gray_scene
 
 
 def test_schedule(small_gray_scene):
-    rules = gaussians_of(ready_to_train(small_gray_scene, NAME, 5, *TRUE)).density.rules
-    assert (rules.start, rules.opacity_reset_every, rules.fade_every) == (100, 1000, 100)
-    options = (f"{OPTION}densify_from=null", f"{OPTION}reset_every=null")
+    control = gaussians_of(ready_to_train(small_gray_scene, NAME, 2000, *TRUE)).density
+    rules = control.rules
+    assert (rules.start, rules.opacity_reset_every, rules.fade_every, rules.fade_pause) == (100, 1000, 100, 200)
+    assert [i for i in range(1, 2001) if control._is_reset(i)] == [1000] and control.fades(2000)
+    options = (f"{OPTION}densify_from=null", f"{OPTION}reset_every=null", f"{OPTION}to_the_end=false")
     rules = gaussians_of(ready_to_train(small_gray_scene, NAME, 5, *TRUE, *options)).density.rules
-    assert (rules.start, rules.opacity_reset_every) == (200, 10_000)
+    assert (rules.start, rules.stop, rules.opacity_reset_every) == (200, 700, 10_000)
     moved = gaussians_of(ready_to_train(small_gray_scene, NAME, 5, *TRUE, "+density=mcmc"))
     assert type(moved.density.rules).__name__ == "RelocationRules"

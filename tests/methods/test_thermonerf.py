@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from methods.thermonerf import ProposalTurns
 from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.read_files import read_picture
 from tdgbench.cells.record import read_record
@@ -70,10 +71,12 @@ def test_without_rgb_no_rgb_image_is_read(small_gray_scene):
     assert train(trainer).lines[-1].terms.keys() == {"thermal", "distortion"}
 
 
-def test_proposals_learn_always_at_first_and_then_at_times(small_gray_scene):
-    method = ready_to_train(small_gray_scene, "thermonerf_thermal", 300, *SIZE).method
-    learning = [method._proposals_learn(iteration) for iteration in range(1, 301)]
-    assert all(learning[:14]) and sum(learning[-100:]) == 20 and 20 < sum(learning[:50]) < 50
+def test_proposals_learn_as_often_as_in_nerfstudio():
+    """Counts by a run of its sampler's rule: 10 first steps, then every second, in the end every sixth."""
+    turns = ProposalTurns(5, 5000)
+    learning = np.array([turns.takes(iteration) for iteration in range(1, 30_001)])
+    assert learning[:11].all() and learning[:500].sum() == 255 and learning[500:1500].sum() == 500
+    assert learning[5000:].sum() in (4166, 4167) and learning.sum() in range(5953, 5958)
 
 
 def test_the_rate_ends_where_the_authors_training_ends(small_gray_scene):

@@ -28,6 +28,8 @@ def interrupted(seconds: float) -> None:
         ("msmg", ["budget.background=mean"]),
         ("thermal3dgs", []),
         ("thermonerf", ["budget.field.rays=32", "budget.field.samples=[8,8]", "budget.field.log2_rows=10"]),
+        ("sad_gs", ["prior=synthetic"]),
+        ("depth_regularised", ["prior=synthetic"]),
         ("3dgs", ["budget=lean", "budget.iterations=12", "budget.settling=null"]),
     ],
 )
