@@ -45,7 +45,7 @@ class Output(NamedTuple):
     head: str
     first: int
     end: int
-    behind: float = 1.0  # what lies behind all samples
+    is_white_behind: bool = True  # else 0 °C
     moves_density: bool = True  # whether the image's gradient reaches the densities
 
 
@@ -59,10 +59,13 @@ class Marching(Rendered):
 class InstantField(PlacedField):
     """Density, an occupancy grid, and heads with a direction, sigmoids of 15 features and 16 harmonics (network.py)."""
 
+    zero: Tensor
+
     def __init__(self, density: DensityField, occupancy: OccupancyGrid, heads: Mapping[str, MLP], steps: int) -> None:
         """steps: samples of a ray, before those in empty cells are left out."""
         super().__init__()
         self.density, self.occupancy, self.heads, self.steps = density, occupancy, nn.ModuleDict(heads), steps
+        self.register_buffer("zero", torch.zeros(()))  # image value of 0 °C; stored cells have no range of °C
 
     def forward(self, rays: Rays, outputs: Mapping[str, Output], generator: torch.Generator | None = None) -> Marching:
         """Render rays by modality. generator: of jitter; None: none."""
@@ -74,7 +77,7 @@ class InstantField(PlacedField):
         images = {}
         for modality, output in outputs.items():
             table = marched.table(values[output.head][:, output.first : output.end])
-            behind = table.new_full(table.shape[2:], output.behind)
+            behind = table.new_ones(table.shape[2]) if output.is_white_behind else self.zero.expand(table.shape[2])
             images[modality] = composited(weights if output.moves_density else weights.detach(), table, behind)
         depth = composited(weights, marched.depths[..., None]).squeeze(1)
         return Marching(images, depth, transmittance_of(weights), len(marched.contracted))
@@ -145,7 +148,7 @@ class InstantThermal(FieldMethod):
     """
 
     rays_at_once = 512  # with up to a thousand samples each
-    thermal_weight = 1.0
+    thermal_weight, zero = 1.0, 0.0
 
     rates: list[PositiveFloat]  # first and last; they fall log-linearly
     rate_end: Share  # of all iterations; the last rate is reached there, and stays
@@ -181,6 +184,7 @@ class InstantThermal(FieldMethod):
             heads[name] = MLP(sizes, generator, sigmoid=True)
         occupancy = OccupancyGrid(2 ** ((size.log2_rows + 2) // 3))  # 128 of an axis with their tables of 2^19
         self.field = InstantField(density, occupancy, heads, self.steps * size.samples[0]).to(context.device)
+        self.field.zero.fill_(self.zero)
         self.rate = falling(self.rates, max(1, round(self.rate_end * whole)))
         network = AveragedNetwork(self.field, self.rate, self.averaging, self.epochs, whole)
         self.part = context.add_part("field", network)
@@ -251,7 +255,7 @@ class SecondBranch(InstantThermal):
     modalities = ("thermal", "rgb")
 
     def setup(self, context: Context) -> None:
-        self.thermal_weight, _ = released_domain(context.scene.temperature)
+        self.thermal_weight, self.zero = released_domain(context.scene.temperature)
         outputs = {"rgb": Output("image", 0, 3), "thermal": Output("image", 3, 3 + context.scene.channels)}
         self.begin(context, outputs, context.budget.schedule_length)
 
@@ -265,8 +269,8 @@ class Separate(InstantThermal):
     temperature_moves_density: bool  # False: the gradient of the density leaves out the temperature
 
     def setup(self, context: Context) -> None:
-        self.thermal_weight, zero = released_domain(context.scene.temperature)
-        thermal = Output("temperature", 0, context.scene.channels, zero, self.temperature_moves_density)
+        self.thermal_weight, self.zero = released_domain(context.scene.temperature)
+        thermal = Output("temperature", 0, context.scene.channels, False, self.temperature_moves_density)
         self.begin(context, {"rgb": Output("image", 0, 3), "thermal": thermal}, context.budget.schedule_length)
 
 
