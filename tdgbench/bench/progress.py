@@ -178,8 +178,11 @@ def finished(record: Record, message: str) -> Outcome:
 
 
 def finished_records(experiment: Path, outcomes: Iterable[Outcome]) -> list[Record]:
-    """Return the results of these cells in an experiment's folder, which may hold those of earlier runs, too."""
-    titles = {outcome.title for outcome in outcomes if outcome.status in COMPLETE}
+    """Return the results of these cells in an experiment's folder, which may hold those of earlier runs, too.
+
+    Cells that another process ran are among them if they have ended.
+    """
+    titles = {outcome.title for outcome in outcomes if outcome.status in SUCCESS}
     return [record for record in read_all(experiment) if record.failure is None and record.title in titles]
 
 

@@ -149,7 +149,8 @@ def at_equal_numbers(rows: pd.DataFrame, first: str) -> pd.DataFrame:
 
     METRIC, METRIC_half: mean and half of its 95 % interval over seeds. METRIC_gain, _gain_half: by how much the first
     run is better, over the seeds with which both have one number of Gaussians. Over all scenes each scene counts once,
-    and intervals are over scenes; without equal numbers in each of them there is no gain.
+    and intervals are over scenes; there is no mean if a cell is missing that another run has, and no gain without equal
+    numbers in each scene.
     verdict: of the first run against this one in PSNR: better or worse where the interval excludes 0, else undecided.
     """
     made = []
@@ -173,9 +174,10 @@ def _of_group(group: pd.DataFrame, there: pd.DataFrame, first: str) -> dict[str,
     pairs = there[there["run"] == first].merge(group, on=["scene", "seed"], suffixes=("_first", ""))
     equal = pairs[(pairs["had_first"] == pairs["had"]) & (not is_first)]
     pairs = equal if set(equal["scene"]) == set(there["scene"]) else equal[:0]  # an average is one of all scenes
+    has_all = there["scene"].nunique() == 1 or len(group) == len(there[["scene", "seed"]].drop_duplicates())
     for metric in QUALITY:
         sign = 1 if measure_of(metric).higher_is_better else -1
-        row |= _mean(metric, group["scene"], pd.to_numeric(group[metric]))
+        row |= _mean(metric, group["scene"], pd.to_numeric(group[metric]) * (1.0 if has_all else np.nan))
         gains = sign * (pd.to_numeric(pairs[f"{metric}_first"]) - pd.to_numeric(pairs[metric]))
         row |= _mean(f"{metric}_gain", pairs["scene"], gains)
     gain, half = row["psnr_gain"], row["psnr_gain_half"]
@@ -193,6 +195,11 @@ def _mean(name: str, scenes: pd.Series, values: pd.Series) -> dict[str, float]:
     return {name: found.mean, f"{name}_half": found.mean - found.low}
 
 
+def _mean_of_all(name: str, scenes: pd.Series, values: pd.Series) -> dict[str, float]:
+    """Return `_mean`, which is unknown if one of the values is."""
+    return _mean(name, scenes, values if values.notna().all() else values * np.nan)
+
+
 def _span(counts: pd.Series) -> str:
     """Return whole numbers as text: all of them are one, or lie from the least to the largest.
 
@@ -205,14 +212,16 @@ def _span(counts: pd.Series) -> str:
 def over_seeds_of_times(times: pd.DataFrame) -> pd.DataFrame:
     """Return one row per scene, run and time of `best_after`: means over seeds, with half of their 95 % intervals.
 
-    ended: with how many seeds the training was over.
+    seeds: those with a score by then; if some have none, there is no mean, which would be that of the fastest. ended:
+    with how many seeds the training was over.
     """
     return pd.DataFrame(
         [
             {
                 **dict(zip(("scene", "label", "after"), names, strict=True)),
-                **{k: v for metric in QUALITY for k, v in _mean(metric, group["scene"], group[metric]).items()},
-                "seeds": len(group), "ended": int(group["ended"].sum()), IMAGES: group[IMAGES].iloc[0],
+                **{k: v for metric in QUALITY for k, v in _mean_of_all(metric, group["scene"], group[metric]).items()},
+                "seeds": int(group["psnr"].notna().sum()), "ended": int(group["ended"].sum()),
+                IMAGES: group[IMAGES].iloc[0],
             }
             for names, group in times.groupby(["scene", "label", "after"], sort=False)
         ]

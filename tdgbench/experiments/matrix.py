@@ -13,8 +13,10 @@ import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 from pydantic import Field, NonNegativeInt
 
+from tdgbench.bench.options import OptionError
 from tdgbench.bench.progress import SUCCESS, CellProgress, Outcome, finished_records
 from tdgbench.bench.run_cell import run_cell
+from tdgbench.bench.signature import Problem
 from tdgbench.cells.record import Record
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.files import write_text
@@ -96,22 +98,41 @@ class Matrix(Experiment):
             raise SystemExit(1)
 
     def run_cells(self, cfg: DictConfig) -> list[MatrixCell]:
-        """Run the cells that have no result, the last axis first; print one line for each, and why one failed."""
-        axes, ran = self.axes(cfg), []
-        for choices in product(*axes.values()):
-            labels = dict(zip(axes, (choice.label for choice in choices), strict=True))
-            if not self.is_cell(labels):
-                continue
-            cell = configured(cfg, choices)
+        """Run the cells that have no result, the last axis first; print one line for each, and why one failed.
+
+        Raises OptionError before the first one if two would be stored in one place.
+        """
+        ran = []
+        for labels, cell, variant in self._planned(cfg):
             progress = CellProgress(console(stderr=True), cell.budget.iterations)
-            outcome = run_cell(cell, ",".join(choice.variant for choice in choices if choice.variant), progress)
+            outcome = run_cell(cell, variant, progress)
             say(outcome.line, stderr=True)
             if outcome.status not in SUCCESS:
                 say(f"{outcome.title}: {outcome.message}", f"{outcome.status}:")
             ran.append((labels, cell, outcome))
         finished = finished_records(Path(cfg.results) / cfg.name, [outcome for *_, outcome in ran])
         records = {record.title: record for record in finished}
+        away = [outcome for *_, outcome in ran if outcome.status == "elsewhere" and outcome.title not in records]
+        if away:
+            say(f"{len(away)} cells run in other processes and are in no table: repeat the command", "missing:")
         return [MatrixCell(labels, cell, outcome, records.get(outcome.title)) for labels, cell, outcome in ran]
+
+    def _planned(self, cfg: DictConfig) -> list[tuple[dict[str, Any], DictConfig, str]]:
+        """Return the labels, the configuration and the variant of each cell."""
+        axes = self.axes(cfg)
+        found: dict[tuple[Any, ...], tuple[dict[str, Any], DictConfig, str]] = {}
+        for choices in product(*axes.values()):
+            labels = dict(zip(axes, (choice.label for choice in choices), strict=True))
+            if not self.is_cell(labels):
+                continue
+            cell, variant = configured(cfg, choices), ",".join(choice.variant for choice in choices if choice.variant)
+            place = cell.method.name, cell.scene, cell.init.name, cell.seed, variant
+            if place in found:
+                of_both = " and ".join(", ".join(map(str, one.values())) for one in (found[place][0], labels))
+                what = f"{of_both} would be one cell: give one of them a `name` of its own"
+                raise OptionError([Problem("study", what)])
+            found[place] = labels, cell, variant
+        return list(found.values())
 
 
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame], missing: str = "n/a") -> None:

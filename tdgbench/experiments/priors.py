@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import pandas as pd
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench.failures import message
 from tdgbench.bench.setup import loader_of
@@ -75,7 +75,7 @@ class Priors(Matrix):
             except Exception as error:  # such as a network's for lack of memory; the other scenes are measured
                 say(message(error), "failed:")
                 self.failed += 1
-        without = AxisValue(NONE, {"method": cfg.study.without}, f"prior={NONE}")
+        without = AxisValue(NONE, {"method": without_prior(cfg)}, f"prior={NONE}")
         return {
             "scene": values_of("scene", self.measured),
             "prior": [without, *groups_of("prior", cfg.study.priors, variant="prior")],
@@ -139,6 +139,17 @@ class Priors(Matrix):
             show_table(format_columns(rows, _SHOWN), f"{scene}: depth priors against {truth}, and TDg with each")
         for reason in reasons(table):
             say(reason, "n/a:", "yellow")
+
+
+def without_prior(cfg: DictConfig) -> DictConfig:
+    """Return the method without a prior, with the options and the length that the one with priors has, too."""
+    without, options = cfg.study.without.copy(), cfg.method.method
+    for name in without.method:
+        if name in options and name != "_target_":
+            without.method[name] = options[name]
+    if "paper_iterations" in cfg.method:
+        OmegaConf.update(without, "paper_iterations", cfg.method.paper_iterations, force_add=True)
+    return without
 
 
 def _cells_of(cells: Sequence[MatrixCell], scene: str, prior: str) -> list[MatrixCell]:

@@ -24,6 +24,7 @@ from tdgbench.experiments.matrix import (
     table_of,
     values_of,
 )
+from tdgbench.tables.likeness import was_disturbed
 from tdgbench.tables.palette import IMAGES
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.training.budget import SKIP_RULES as RULES
@@ -32,6 +33,7 @@ from tdgbench.training.skips import SWITCHES, no_such_skip
 NAMES = (*SWITCHES, *RULES)
 NONE, ALL, ALONE, WITHOUT = "none", "all", "only {}", "without {}"  # variants
 TAKEN = "taken"  # column of the names of a cell's skips that were taken, which no file has
+NOWHERE, NA, UNDECIDED = "none", "n/a", "undecided"  # of `taken_on`; verdicts
 TOGETHER = "all together"  # the row of the variant ALL
 MAX_LOSS = {"psnr": 0.05, "ssim": 0.001}  # on any scene, of a skip that is on by default
 BEFORE = ("load", "images", "thermal_camera", "prior", "init", "compile", "rig")  # training
@@ -39,7 +41,7 @@ _SHOWN = {  # on the terminal: title, format
     "skip": ("skip", "{}"), "taken_on": ("taken on", "{}"), "faster_alone": ("faster alone", "{:.2f} ×"),
     "slower_without": ("slower without", "{:.2f} ×"), "psnr_worst": ("worst PSNR, dB", "{:+.3f}"),
     "psnr_error": ("±", "{:.3f}"), "ssim_worst": ("worst SSIM", "{:+.4f}"), "ssim_error": (" ±", "{:.4f}"),
-    "default": ("default may be", "{}"),
+    "default_may_be": ("default may be", "{}"),
 }  # fmt: skip
 
 
@@ -63,6 +65,9 @@ class SkipAblation(Matrix):
         """Return scenes, seeds, variants; each variant switches all skips on or off. Off is null for a rule."""
         usual = {name: bool(cfg.skip.get(name, True)) for name in SWITCHES}
         usual |= {name: cfg.budget.get(name) is not None for name in RULES}
+        if absent := [name for name in cfg.study.skips if name in RULES and not usual[name]]:
+            what = f"the budget has no rule {', '.join(absent)}; `budget=lean` has most"
+            raise OptionError([Problem("study.skips", what)])
         switched = []
         for label, skips in variants(list(cfg.study.skips), usual).items():
             changes: dict[str, Any] = {f"skip.{name}": skips[name] for name in SWITCHES}
@@ -79,7 +84,7 @@ class SkipAblation(Matrix):
         return {"skips": table, "skips_cells": rows.drop(columns=TAKEN)}
 
     def show(self, table: pd.DataFrame) -> None:
-        show_table(format_columns(table.assign(default=np.where(table["keep"], "on", "off")), _SHOWN))
+        show_table(format_columns(table, _SHOWN))
 
 
 def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[str, bool]]:
@@ -105,8 +110,9 @@ def variants(names: Sequence[str], usual: Mapping[str, bool]) -> dict[str, dict[
 def numbers(record: Record) -> dict[str, Any]:
     """Return the numbers of a cell: seconds of training and before it, memory, scores, skipped work with reasons."""
     taken = [skip for skip in record.skips if skip["taken"]]
+    seconds = np.nan if was_disturbed(record) else record.seconds.get("train", np.nan)
     return {
-        "train_seconds": record.seconds.get("train", np.nan),
+        "train_seconds": seconds,
         "seconds_before": sum(record.seconds.get(phase, 0.0) for phase in BEFORE),
         "iterations": record.iterations,
         "gaussians": sum(record.gaussians.values()),
@@ -133,46 +139,54 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
 
     faster_alone: training time with no skip over that with this one. slower_without: training time with all but this
     one over that with all. psnr_worst, ssim_worst: change by this skip alone, against no skip, on the scene where it
-    is worst (mean over seeds). psnr_error, ssim_error: standard error of that mean (NaN for one seed). keep: whether
-    the skip may be on by default, because no scene loses more than MAX_LOSS by more than two standard errors.
+    is worst (mean over seeds). psnr_error, ssim_error: standard error of that mean (NaN for one seed). default_may_be:
+    `on` if no scene loses more than MAX_LOSS, `off` if one does, each by two standard errors; else, also where one seed
+    has a change, `undecided`. All of these are n/a if a cell is missing, the last one where the skip was not taken.
     """
-    rows = []
+    rows, places = [], {*zip(table["scene"], table["seed"], strict=True)}
     for name, variant in (*((name, ALONE.format(name)) for name in names), (TOGETHER, ALL)):
-        psnr, psnr_error, psnr_ok = _worst(table, variant, "psnr")
-        ssim, ssim_error, ssim_ok = _worst(table, variant, "ssim")
+        psnr, psnr_error, of_psnr = _worst(table, variant, "psnr", places)
+        ssim, ssim_error, of_ssim = _worst(table, variant, "ssim", places)
+        taken = "" if variant == ALL else _taken(table, variant, name)
+        verdict = next((one for one in (NA, "off", UNDECIDED) if one in (of_psnr, of_ssim)), "on")
         rows.append(
             {
-                "skip": name, "taken_on": "" if variant == ALL else _taken(table, variant, name),
+                "skip": name, "taken_on": taken, "scenes": table["scene"].nunique(), "seeds": table["seed"].nunique(),
                 "faster_alone": _ratio(table, NONE, variant),
                 "slower_without": _ratio(table, WITHOUT.format(name), ALL),
                 "memory_alone": _ratio(table, NONE, variant, "peak_rss_mb"),
                 "psnr_worst": psnr, "psnr_error": psnr_error, "ssim_worst": ssim, "ssim_error": ssim_error,
-                "keep": psnr_ok and ssim_ok,
+                "default_may_be": NA if taken == NOWHERE else verdict,
             }
         )  # fmt: skip
     return pd.DataFrame(rows)
 
 
-def _worst(table: pd.DataFrame, variant: str, metric: str) -> tuple[float, float, bool]:
-    """Return a metric's change on the worst scene, its standard error, and whether all scenes lose at most MAX_LOSS."""
-    by_scene = table[table["variant"] == variant].groupby("scene")[f"change of {metric}"]
-    mean, error = by_scene.mean(), by_scene.sem()
-    if mean.dropna().empty:
-        return float("nan"), float("nan"), False
-    acceptable = bool((mean + 2 * error.fillna(0.0) >= -MAX_LOSS[metric]).all())
-    return float(mean.min()), float(error[mean.idxmin()]), acceptable
+def _worst(table: pd.DataFrame, variant: str, metric: str, places: set[tuple[Any, Any]]) -> tuple[float, float, str]:
+    """Return a metric's change on the worst scene, its standard error, and whether all scenes lose at most MAX_LOSS.
+
+    places: scenes and seeds that all must have a change.
+    """
+    rows = table[(table["variant"] == variant) & table[f"change of {metric}"].notna()]
+    if {*zip(rows["scene"], rows["seed"], strict=True)} != places:
+        return float("nan"), float("nan"), NA
+    by_scene = rows.groupby("scene")[f"change of {metric}"]
+    mean, error, least = by_scene.mean(), by_scene.sem(), -MAX_LOSS[metric]
+    unsure = 2 * error.where((error.notna()) | (mean != 0), 0.0)  # one seed without any change has no error
+    verdict = "on" if (mean - unsure >= least).all() else "off" if (mean + unsure < least).any() else UNDECIDED
+    return float(mean.min()), float(error[mean.idxmin()]), verdict
 
 
 def _ratio(table: pd.DataFrame, slow: str, fast: str, column: str = "train_seconds") -> float:
-    """Return the geometric mean over scenes and seeds of slow / fast; NaN if a variant has no cells."""
-    both = table.pivot_table(index=["scene", "seed"], columns="variant", values=column)
+    """Return the geometric mean over scenes and seeds of slow / fast; NaN if a cell of a variant has no number."""
+    both = table.pivot_table(index=["scene", "seed"], columns="variant", values=column, dropna=False)
     if slow not in both or fast not in both:
         return float("nan")
-    return float(np.exp(np.log(both[slow] / both[fast]).mean()))
+    return float(np.exp(np.log(both[slow] / both[fast]).mean(skipna=False)))
 
 
 def _taken(table: pd.DataFrame, variant: str, name: str) -> str:
     """Name the scenes on which the skip was taken."""
     cells = table[table["variant"] == variant]
     taken = cells[[name in names for names in cells[TAKEN]]]
-    return ", ".join(dict.fromkeys(taken["scene"])) or "none"
+    return ", ".join(dict.fromkeys(taken["scene"])) or NOWHERE

@@ -35,6 +35,10 @@ def test_gains_are_of_equal_numbers_over_seeds_and_over_scenes_that_all_have_the
     more = found.xs("more", level="run")["verdict"]
     assert list(more) == ["undecided", UNEQUAL, UNEQUAL] and found.loc[("all scenes", "more")].had == "60 to 61"
     assert set(found.xs("first", level="run")["verdict"]) == {""}
+    lost = [cell for cell in cells if (cell["scene"], cell["run"]) != ("b", "other")]
+    found = at_equal_numbers(pd.DataFrame(lost), "first").set_index(["scene", "run"])
+    assert pd.isna(found.loc[("all scenes", "other"), "psnr"]) and found.loc[("a", "other"), "psnr"] == 28.0
+    assert found.loc[("all scenes", "first"), "psnr"] == 30.0
 
 
 def test_the_best_scores_so_far_and_whether_they_are_final():
@@ -47,7 +51,11 @@ def test_the_best_scores_so_far_and_whether_they_are_final():
     )  # fmt: skip
     found = over_seeds_of_times(best_after(curves, [1.0, 30.0, 60.0])).set_index("after")
     assert pd.isna(found.loc[1.0, "psnr"]) and list(found["ended"]) == [0, 1, 2]
-    assert list(found["psnr"][1:]) == [25.0, 25.0] and list(found["lpips"][1:]) == pytest.approx([0.25, 0.2])
+    assert list(found["seeds"]) == [0, 2, 2] and list(found["psnr"][1:]) == [25.0, 25.0]
+    assert list(found["lpips"][1:]) == pytest.approx([0.25, 0.2])
+    later = curves.assign(seconds=curves["seconds"] + 30 * curves["seed"])
+    late = over_seeds_of_times(best_after(later, [20.0]))
+    assert pd.isna(late["psnr"][0]) and late["seeds"][0] == 1  # a mean would be of the faster seed
 
 
 def test_cells_differ_in_run_and_number_alone(monkeypatch):

@@ -1,9 +1,10 @@
 import pandas as pd
 import pytest
+from hydra.utils import instantiate
 
 from tdgbench.bench.options import OptionError
 from tdgbench.experiments import error_time
-from tdgbench.experiments.error_time import ErrorTime, faster_by, runs_of, sample_all, sample_curve
+from tdgbench.experiments.error_time import ErrorTime, configured_for, faster_by, runs_of, sample_all, sample_curve
 from tdgbench.thermal import ImageResponse
 from tests.helpers.configs import SMALL, config
 
@@ -94,6 +95,14 @@ def test_a_run_has_the_budget_that_it_names(data_root):
     assert lengths == {"TDg": 3, "TDg, lean": 4, "MSMG": 3, "MSMG, lean": 4}
     with pytest.raises(ValueError, match="run 'x': another run has this label"):
         runs_of(config("+experiment=budgets", "study.runs=[{label: x, method: tdg}, {label: x, method: msmg}]"))
+
+
+@pytest.mark.parametrize("name", ["error_time", "budgets"])
+def test_every_shipped_run_has_density_control(name):
+    cfg = config(f"+experiment={name}")
+    for run in runs_of(cfg):
+        budget = instantiate(configured_for(cfg, run).budget)
+        assert any(budget.density.is_round(i, budget.iterations) for i in range(budget.iterations)), run.label
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import pandas as pd
 import pytest
 
+from tdgbench.bench.options import OptionError
 from tdgbench.bench.progress import Outcome
 from tdgbench.cells.record import Record
 from tdgbench.experiments import matrix
@@ -64,6 +67,29 @@ def test_each_combination_is_a_cell_with_its_options(ran, tmp_path):
         (None, 0, True, None, "thermal_camera=ideal"),
     ]  # fmt: skip
     assert "unheard_of" not in cfg.skip and cfg.seed == 0
+
+
+def test_two_cells_in_one_place_are_refused_before_any_runs(ran, tmp_path, monkeypatch):
+    axes = {**AXES, "skip": [AxisValue("on", {"skip.gray": True}), AxisValue("off", {"skip.gray": False})]}
+    monkeypatch.setattr(Example, "axes", lambda self, cfg: axes)
+    with pytest.raises(OptionError, match="orbit, ideal, on, 0 and orbit, ideal, off, 0 would be one cell"):
+        Example().run_cells(config(f"results={tmp_path}"))
+    assert not ran
+
+
+def test_cells_of_other_processes_count_once_they_have_ended(ran, tmp_path, monkeypatch, capsys):
+    here = matrix.run_cell
+
+    def run_cell(cfg, variant, progress):
+        outcome = here(cfg, variant, progress)
+        if outcome.status == "ok" and cfg.scene is None:
+            return replace(outcome, status="elsewhere")
+        return Outcome("elsewhere", "not yet", "") if outcome.status == "ok" else outcome
+
+    monkeypatch.setattr(matrix, "run_cell", run_cell)
+    cells = Example().run_cells(config(f"results={tmp_path}"))
+    assert [cell.record is not None for cell in cells] == [False, False, True, False, True, False]
+    assert "2 cells run in other processes and are in no table" in capsys.readouterr().out
 
 
 def test_finished_cells_are_rows_and_failed_ones_are_told(ran, tmp_path, capsys):

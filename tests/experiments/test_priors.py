@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from tdgbench.cells.record import read_all
-from tdgbench.experiments.priors import Priors
+from tdgbench.experiments.priors import Priors, without_prior
 from tests.helpers.command import command_here
 from tests.helpers.configs import SMALL, config
 
@@ -57,6 +57,16 @@ def test_tdg_without_a_prior_is_tdg_whose_depth_loss_has_no_weight(tmp_path, dat
     ]
     assert len(models) == 2 and models[0] == models[1]
     assert len(list((tmp_path / "cache").rglob("*.npz"))) == 8  # one for each view, of one seed
+
+
+def test_without_a_prior_all_else_is_as_with_one():
+    given = ("method.method.lambda_smooth=0.1", "method.method.smoothness_reading=released")
+    cfg = config("+experiment=priors", "budget=paper", *given)
+    without = cfg.copy()
+    without.method = without_prior(cfg)
+    assert without.method.name == "3dgs_smooth" and without.budget.iterations == cfg.budget.iterations == 10_000
+    assert (without.method.method.lambda_smooth, without.method.method.smoothness_reading) == (0.1, "released")
+    assert cfg.study.without.method.lambda_smooth == 0.6
 
 
 @pytest.mark.slow

@@ -1,6 +1,9 @@
+import copy
+
 import pandas as pd
 import pytest
 
+from tdgbench.bench.options import OptionError
 from tdgbench.cells.record import Record, read_all
 from tdgbench.experiments.matrix import MatrixCell, table_of
 from tdgbench.experiments.skips import NAMES, SkipAblation, numbers, summary, variants, with_changes
@@ -78,25 +81,54 @@ def test_summary():
     table = summary(rows_of(RECORDS), ["gray"]).set_index("skip")
     assert table.loc["gray", "faster_alone"] == pytest.approx(2**0.5)
     assert table.loc["gray", "slower_without"] == pytest.approx(2**0.5)
-    assert table.loc["gray", "taken_on"] == "a" and bool(table.loc["gray", "keep"])
+    assert table.loc["gray", "taken_on"] == "a" and list(table["scenes"]) == [2, 2] and list(table["seeds"]) == [1, 1]
+    assert table.loc["gray", "default_may_be"] == "undecided"  # +0.02 dB on b, with one seed
     assert table.loc["all together", "faster_alone"] == pytest.approx(2.0)
-    assert table.loc["all together", "psnr_worst"] == pytest.approx(-0.1) and not table.loc["all together", "keep"]
+    assert table.loc["all together", "psnr_worst"] == pytest.approx(-0.1)
+    assert table.loc["all together", "default_may_be"] == "undecided"
 
 
 def test_a_loss_within_the_noise_of_the_seeds_is_none():
-    changes = {"a": [-0.3, 0.2, 0.1], "b": [-0.11, -0.10, -0.12]}
+    changes = {"a": [-0.3, 0.2, 0.1], "b": [-0.11, -0.10, -0.12], "c": [-0.01, -0.02, -0.015], "d": [0.0]}
 
     def cells(scene):
         for seed, change in enumerate(changes[scene]):
             for variant, psnr in (("none", 30.0), ("only gray", 30.0 + change)):
-                one = record(scene, variant, 1.0, psnr)
+                one = record(scene, variant, 1.0, psnr, taken=["gray"] * (variant != "none"))
                 one.seed = seed
                 yield one
 
     noisy = summary(rows_of(list(cells("a"))), ["gray"]).iloc[0]
-    assert noisy["keep"] and noisy["psnr_worst"] == pytest.approx(0.0) and noisy["psnr_error"] > 0.1
+    assert (
+        noisy["default_may_be"] == "undecided"
+        and noisy["psnr_worst"] == pytest.approx(0.0)
+        and noisy["psnr_error"] > 0.1
+    )
     steady = summary(rows_of([*cells("a"), *cells("b")]), ["gray"]).iloc[0]
-    assert not steady["keep"] and steady["psnr_worst"] == pytest.approx(-0.11)
+    assert steady["default_may_be"] == "off" and steady["psnr_worst"] == pytest.approx(-0.11)
+
+    for scene in ("c", "d"):  # small, and none with one seed
+        assert summary(rows_of(list(cells(scene))), ["gray"]).iloc[0]["default_may_be"] == "on"
+
+
+def test_a_missing_cell_a_busy_machine_and_a_skip_that_was_not_taken_have_no_verdict():
+    some = [one for one in RECORDS if (one.scene, one.variant) != ("b", "only gray")]
+    row = summary(rows_of(some), ["gray"]).iloc[0]
+    assert row["default_may_be"] == "n/a" and pd.isna(row["faster_alone"]) and pd.isna(row["psnr_worst"])
+    assert row["slower_without"] == pytest.approx(2**0.5)
+    busy = copy.deepcopy(RECORDS)
+    busy[0].backend, busy[0].train_processor_seconds = "cpu", 4.0  # of 8 s
+    assert pd.isna(summary(rows_of(busy), ["gray"]).iloc[0]["faster_alone"])
+    idle = copy.deepcopy(RECORDS)
+    for one in idle:
+        one.skips = []
+    assert summary(rows_of(idle), ["gray"]).iloc[0]["default_may_be"] == "n/a"
+
+
+def test_a_rule_that_the_budget_lacks_is_refused(tmp_path, data_root):
+    cfg = config("+experiment=skips", *SMALL, f"data.root={data_root}", f"results={tmp_path}", "study.skips=[growth]")
+    with pytest.raises(OptionError, match="the budget has no rule growth; `budget=lean` has most"):
+        SkipAblation().run_cells(cfg)
 
 
 def test_cells_of_the_run_alone_have_a_row_and_failed_ones_none(tmp_path, data_root, capsys):

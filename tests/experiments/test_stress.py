@@ -6,13 +6,15 @@ import math
 
 import pandas as pd
 import pytest
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
 from tdgbench.bench.backend_check.compare import BackendErrors
 from tdgbench.bench.options import OptionError
 from tdgbench.experiments.stress import clouds
 from tdgbench.experiments.stress.case import Case, Raises, UnexpectedError, require, require_close, run_case
 from tdgbench.experiments.stress.run import Stress, all_cases, backends_of
-from tdgbench.experiments.stress.training import check_same_bytes, train_small
+from tdgbench.experiments.stress.training import _budgets, check_same_bytes, train_small
 from tdgbench.splats.backends import fast_backends
 from tests.helpers.configs import config
 
@@ -29,6 +31,15 @@ def cases(data_root):
 def test_case(cases, index, backend):
     result = run_case(cases[index], backend)
     assert result["passed"], f"expected {result['expected']}, observed {result['seen']}"
+
+
+def test_the_case_of_opacity_resets_makes_300(data_root):
+    cfg = config("+experiment=stress", f"data.root={data_root}")
+    changes = next(changes for name, _, changes in _budgets(cfg) if name == "300 opacity resets")
+    for name, value in changes.items():
+        OmegaConf.update(cfg.budget, name, value)
+    budget = instantiate(cfg.budget)
+    assert sum(budget.density.is_reset(i, budget.iterations) for i in range(1, budget.iterations)) == 300
 
 
 def test_there_are_102_cases_with_different_names():

@@ -163,7 +163,10 @@ def _budgets(cfg: DictConfig) -> list[tuple[str, Raises | str, dict[str, Any]]]:
         ("SH degree 3 from the start", FINITE, {"sh_degree": 3, "sh_every": 1}),
         (
             "300 opacity resets", FINITE,
-            {"iterations": 300, "density.opacity_reset_every": 1, "density.stop": 301, "density.every": 100_000},
+            {
+                "iterations": 301, "density.opacity_reset_every": 1, "density.stop": 302, "density.every": 100_000,
+                "density.reset_recovery": 0,
+            },
         ),
         (
             "density control at every step", FINITE,
