@@ -56,7 +56,8 @@ class Relocation(DensityControl):
         state, computed = self.state, gradients.compute()
         index, rows, image = computed.rows()
         values = torch.zeros_like(state.values)
-        values[:, : rows.shape[1]].index_add_(0, index, rows)
+        used = min(rows.shape[1], values.shape[1])  # rows fill whole cache lines
+        values[:, :used].index_add_(0, index, rows[:, :used])
         all_of = state.split(state.values)
         opacities, scales = all_of.opacities[:, None], all_of.scales
         values[:, state.columns_of("opacity_logits")] += (

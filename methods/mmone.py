@@ -191,7 +191,7 @@ class MMOne(OMMG):
     def _rendered(self, camera: Camera, modality: str, depth: bool = False) -> Render:
         if modality == "rgb":
             black = self.model.state.values.new_zeros(3)
-            render = self.model.render(camera, hook=AS_RGB, background=black, label=modality)
+            render = self.model.render(camera, hook=AS_RGB, background=black, label=modality, through_rig=False)
         else:
             render = self.model.render(camera, depth=depth, label=modality)
         render.image = render.image.clamp(0, 1)

@@ -34,6 +34,8 @@ class OMMG(GaussianSplatting):
     keeps_all_points = True
 
     def setup(self, context: Context) -> None:
+        if context.rig is not None:
+            raise ValueError("OMMG renders both images from one camera: use thermal_camera.rig=false")
         points, degree = context.points, context.budget.sh_degree
         sh_rgb = gaussians_from_points(points.points, points.colors, 3, degree).sh
         self.model = context.gaussians(extra_fields={SH_RGB: sh_rgb}, learning_rates={SH_RGB: "sh"})

@@ -107,11 +107,6 @@ class DepthTarget:
         """The normalised prior (H, W, 1); losses prepare a tensor once, by its identity."""
         return self.normalised[..., None]
 
-    @cached_property
-    def share(self) -> float:
-        """Share of the pixels that are known."""
-        return 1.0 if self.valid is None else float(self.valid.double().mean())
-
     @classmethod
     def from_prior(cls, prior: DepthPrior, device: torch.device) -> DepthTarget:
         """Normalise a prior."""
@@ -167,7 +162,7 @@ def depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
         normalised = min_max(rendered)
     else:
         normalised = torch.where(target.valid, min_max(_fill_unknown(rendered, target.valid, target.known)), 0.0)
-    return l1_and_dssim(normalised[..., None], target.image, 1 / target.share, 1.0)
+    return l1_and_dssim(normalised[..., None], target.image, 1.0, 1.0, target.valid)
 
 
 def _fill_unknown(values: Tensor, valid: Tensor, known: int) -> Tensor:

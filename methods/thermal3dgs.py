@@ -98,6 +98,7 @@ class Thermal3DGS(Method):
     """L = (1 − λ_ssim − λ_corner) L1 + λ_ssim (1 − SSIM) + λ_corner max(1 − t / corner_end, 0) L_corner."""
 
     renders_plain_gaussians = False
+    keeps_full_resolution = True  # what conduction adds depends on the number of rows
 
     lambda_ssim: Share
     lambda_corner: Share

@@ -87,11 +87,33 @@ class Budget:
         return min(self.sh_degree, iteration // self.sh_every)
 
     def for_stage(self, share: float) -> Budget:
-        """Return the budget of a stage that has a share of the iterations; its schedules begin at its first one."""
+        """Return the budget of a stage that has a share of the iterations; its schedules begin at its first one.
+
+        Schedules of Gaussians that are longer than the stage are shortened to it: a stage is a training of its own.
+        """
         if share == 1.0:
             return self
-        expected = None if self.expected_iterations is None else max(1, round(share * self.expected_iterations))
-        return replace(self, iterations=max(1, round(share * self.iterations)), expected_iterations=expected)
+        iterations = max(1, round(share * self.iterations))
+        shorter = min(1.0, iterations / self.rates.means_steps)
+
+        def shortened(count: int) -> int:
+            return max(1, round(shorter * count))
+
+        density = self.density
+        return replace(
+            self,
+            iterations=iterations,
+            expected_iterations=self.expected_iterations and max(1, round(share * self.expected_iterations)),
+            sh_every=shortened(self.sh_every),
+            rates=replace(self.rates, means_steps=shortened(self.rates.means_steps)),
+            density=replace(
+                density,
+                start=shortened(density.start),
+                stop=shortened(density.stop),
+                opacity_reset_every=shortened(density.opacity_reset_every),
+            ),
+            plateau=self.plateau and replace(self.plateau, after=shortened(self.plateau.after)),
+        )
 
     def for_trial(self, iterations: int) -> Budget:
         """Return the budget of a training of exactly so many iterations, which no rule ends."""

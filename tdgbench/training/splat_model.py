@@ -103,6 +103,7 @@ class SplatModel(Part):
         hook: Hook | None = None,
         background: torch.Tensor | None = None,
         label: str = "",
+        through_rig: bool = True,
     ) -> Render:
         """Render at the SH degree in use, over the background. The backward pass is observed by density control.
 
@@ -110,7 +111,8 @@ class SplatModel(Part):
         slower with a hook other than `RenderedFields`, or a pose that requires a gradient: the gradients of all
         Gaussians pass through torch.
         background: (D,) behind the D channels that a hook renders; by default the model's.
-        label: tells density control which of an iteration's renders this is.
+        label: tells density control which of an iteration's renders this is. through_rig: whether the camera has the
+        thermal camera's rig, where one is learnt.
         """
 
         def collect(gradients: Gradients | PendingGradients) -> None:
@@ -121,7 +123,7 @@ class SplatModel(Part):
 
         tolerance = self.optimizer.tolerance(self._iteration) if self.skips.unseen.allowed else None
         pinhole = camera if isinstance(camera, Pinhole) else Pinhole.of(camera)
-        if self.rig is not None:
+        if self.rig is not None and through_rig:
             hook, pinhole = self.rig.through(hook, pinhole)
         background = self.background if background is None else background
         absgrad = self.density.rules.uses_absolute and self.density.is_active(self._iteration)

@@ -87,6 +87,17 @@ def test_the_gradients_are_those_of_the_regularised_loss(model, small_gray_scene
         assert torch.allclose(added, getattr(leaves, name).grad, rtol=1e-3, atol=1e-7)
 
 
+@pytest.mark.parametrize("scene", ["small_gray_scene", "small_scene"])
+def test_it_trains_with_harmonics_whose_gradients_fill_cache_lines(scene, request):
+    """Of one channel from degree 2 on, and of three."""
+    trainer = ready_to_train(
+        request.getfixturevalue(scene), "3dgs", 12, *MCMC, "budget.sh_degree=3", "budget.sh_every=3"
+    )
+    start = trainer.gaussians["thermal"].copy().sh
+    assert train(trainer).iterations == 12
+    assert (trainer.gaussians["thermal"].gaussians.sh[: len(start), 9:] != start[:, 9:]).any()
+
+
 def test_a_training_grows_to_its_limit_and_reports_it(small_gray_scene):
     trainer = ready_to_train(small_gray_scene, "3dgs", 60, *MCMC)
     log = train(trainer)

@@ -37,6 +37,21 @@ def test_unknown_pixels_do_not_count():
     assert depth_loss(other, prior).item() == pytest.approx(0, abs=1e-5)
 
 
+def test_both_terms_are_means_over_known_pixels():
+    """Each has weight 1, whatever share of the pixels is known."""
+    depth, prior = torch.rand(40, 30) * 5 + 1, torch.rand(40, 30) * 5 + 1
+    known = torch.ones(40, 30, dtype=torch.bool)
+    known[:25] = False
+    x, y = (
+        torch.where(known, (t - t[known].min()) / (t[known].max() - t[known].min()), 0).double() for t in (depth, prior)
+    )
+    ssim = ssim_map(x[..., None], y[..., None])[known]
+    prior[:25] = torch.nan
+    assert depth_loss(depth, prior).item() == pytest.approx(
+        ((x - y)[known].abs().mean() + 1 - ssim.mean()).item(), abs=1e-5
+    )
+
+
 @pytest.mark.parametrize("flat", ["rendered", "prior", "both"])
 def test_constant_maps(flat):
     """0/0 in the normalisation: the loss and its gradient stay finite."""

@@ -100,6 +100,11 @@ def test_a_budget_is_shared_out_among_stages(small_scene):
     whole = Context(small_scene, small_scene.points, {}, budget, "cpu", 0)
     stage = whole.for_stage(1, 0.25).budget
     assert (stage.iterations, stage.expected_iterations) == (300, 150)
+    assert (stage.rates.means_steps, stage.sh_every, stage.plateau.after) == (300, 125, 175)  # of 1 200, 500, 700
+    density = stage.density
+    assert (density.start, density.stop, density.every, density.opacity_reset_every) == (50, 175, 100, 2500)
+    full = replace(budget, iterations=60_000, rates=replace(budget.rates, means_steps=30_000)).for_stage(0.5)
+    assert full.iterations == 30_000 and (full.rates.means_steps, full.density) == (30_000, budget.density)
     assert whole.for_stage(0, 1.0).budget == budget and whole.for_stage(0, 1e-9).budget.iterations == 1
 
 

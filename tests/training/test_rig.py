@@ -14,6 +14,7 @@ from tdgbench.splats.backends.reference import BACKEND
 from tdgbench.splats.view import Pinhole
 from tdgbench.training.rig import NUMBERS, Rig
 from tests.helpers.gaussians import model
+from tests.helpers.training import ready_to_train
 
 CAMERA_AT = np.array([[1.0, 0, 0, 0.1], [0, 1, 0, -0.2], [0, 0, 1, 4.0], [0, 0, 0, 1]])
 K = np.array([[60.0, 0, 24], [0, 60, 18], [0, 0, 1]])
@@ -69,3 +70,15 @@ def test_its_camera_is_that_of_a_known_rig():
     ours, theirs = rig.camera(given), known.camera(given)
     assert np.allclose(ours.world_to_camera, theirs.world_to_camera, atol=1e-6)
     assert np.allclose(ours.K, theirs.K, atol=1e-4)
+
+
+def test_images_of_rgb_do_not_move_with_the_rig_of_the_thermal_camera(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "mmone", 5, "thermal_camera.rig=true")
+    frame = trainer.context.frame(small_gray_scene.train[0])
+    before = {modality: trainer.method.render(frame, modality).image for modality in trainer.method.modalities}
+    with torch.no_grad():
+        trainer.parts["rig"].numbers["shift"] += 0.05
+    moved = {name: (trainer.method.render(frame, name).image - image).abs().max() for name, image in before.items()}
+    assert moved["rgb"] == 0 and moved["thermal"] > 0.01
+    with pytest.raises(ValueError, match="OMMG renders both images from one camera"):
+        ready_to_train(small_gray_scene, "ommg", 5, "thermal_camera.rig=true")
