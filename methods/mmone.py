@@ -157,6 +157,8 @@ class MMOne(OMMG):
     start alike. RGB renders are over black.
     """
 
+    can_learn_rig = True  # each modality has a render of its own
+
     decompose: Decompose  # this and the following: see `MultimodalRules`
     decompose_threshold: NonNegativeFloat
     off_opacity: Opacity

@@ -32,6 +32,7 @@ class OMMG(GaussianSplatting):
     modalities = ("thermal", "rgb")
     renders_plain_gaussians = False
     keeps_all_points = True
+    can_learn_rig = False  # one camera shows both images
 
     def setup(self, context: Context) -> None:
         if context.rig is not None:

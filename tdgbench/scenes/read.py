@@ -59,13 +59,18 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
     train, test, left_out = _split(folder, names, options.split, scene_files.shipped)
     names, masks, rgb = sorted([*train, *test]), scene_files.masks, scene_files.rgb
     sources, photos, views, truth = {}, {}, {}, list[Path]()
+    kinds = (DEPTH, TRUE) if (origin := origin_of(folder)) else ()  # of captures, nobody knows whose these are
+    notes += [
+        f"{kind}/ is not read: only built-in scenes have true values there"
+        for kind in (DEPTH, TRUE) if not origin and is_folder(folder / kind)
+    ]  # fmt: skip
     for name in names:
         found, posed = _header(thermal[name], options.thermal == "shown"), scene_files.posed[name]
         camera = _camera(posed, found, options)
         source = sources[name] = ImageSource(thermal[name], posed, camera.width, camera.height, masks.get(name), found)
         if name in rgb:
             photos[name] = replace(source, path=rgb[name], mask=None, header=_header(rgb[name], as_picture=True))
-        known = {kind: folder / kind / f"{name}.npy" for kind in (DEPTH, TRUE)}
+        known = {kind: folder / kind / f"{name}.npy" for kind in kinds}
         known = {kind: regular_file(path) for kind, path in known.items() if is_there(path)}
         truth += known.values()
         views[name] = _make_view(source, camera, photos.get(name), known)
@@ -80,7 +85,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         notes=[*scene_files.notes, *notes, *left_out], folder=folder, model=scene_files.model,
         assumed={
             **({"layout": f"{layout.title}: {layout.looks}"} if detected else {}),
-            **origin_of(folder), **sensor_of(description.dataset, description.scene),
+            **origin, **sensor_of(description.dataset, description.scene),
             **scene_files.assumed, **_about_images(sources, photos, options), **_about_lenses(sources.values()),
         },
     )  # fmt: skip

@@ -61,6 +61,12 @@ class ThermalCamera:
         return float(self.offsets[index]), float(self.gains[index])
 
     @property
+    def is_ideal(self) -> bool:
+        """Whether it changes no value."""
+        offsets = [*self.offsets, *self.expected.values()]
+        return not np.any(offsets) and not self.vignette.any() and bool((self.gains == 1).all())
+
+    @property
     def suffix(self) -> str:
         """The unit, ready to follow a number."""
         return "" if self.unit == "image" else f" {self.unit}"

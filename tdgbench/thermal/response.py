@@ -68,6 +68,7 @@ class ImageResponse:
 
 
 IDEAL = ImageResponse()
+ROUNDING = 1e-9  # of image values
 
 
 def read_response(stated: Mapping[str, Any] | None) -> ImageResponse:
@@ -105,12 +106,14 @@ def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
             f"{scene.name}: the thermal camera was estimated without training view {unknown[0]}; estimate it again"
         )
     _, scale, zero = units(scene)
+    if camera.is_ideal:
+        return Corrected(replace(scene, notes=[*scene.notes, _summary(camera), *camera.notes]), IDEAL)
     values = {}
     for view in scene.train:
         shown = scale * view.thermal.mean(axis=2, dtype=np.float64) + zero
         values[view.name] = (correct_values(shown, view.name, camera) - zero) / scale
     low, high = _range([values[view.name][... if view.valid is None else view.valid] for view in scene.train])
-    span, notes = scene.temperature, [f"training views are corrected for their thermal camera: {camera.summary}"]
+    span, notes = scene.temperature, [_summary(camera)]
     if (low, high) != (0.0, 1.0):
         if span is not None:
             span = TemperatureRange(zero + scale * low, zero + scale * high)
@@ -124,6 +127,10 @@ def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
     notes = [*scene.notes, *notes, *camera.notes]
     changed = replace(scene, train=train, temperature=span, notes=notes, fingerprint=fingerprint)
     return Corrected(changed, _response(camera, scale, zero, (low, high)))
+
+
+def _summary(camera: ThermalCamera) -> str:
+    return f"training views are corrected for their thermal camera: {camera.summary}"
 
 
 def _response(camera: ThermalCamera, scale: float, zero: float, ends: tuple[float, float]) -> ImageResponse:
@@ -141,7 +148,10 @@ def _range(values: list[np.ndarray]) -> tuple[float, float]:
     """Return the image values that become 0 and 1: 0 and 1, or the extremes of the values (N,) if these lie outside."""
     known = [array for array in values if array.size]
     low, high = min(float(array.min()) for array in known), max(float(array.max()) for array in known)
-    return min(0.0, float(np.floor(1000 * low)) / 1000), max(1.0, float(np.ceil(1000 * high)) / 1000)
+    low, high = (
+        float(ends(1000 * value)) / 1000 for ends, value in ((np.floor, low + ROUNDING), (np.ceil, high - ROUNDING))
+    )
+    return min(0.0, low), max(1.0, high)
 
 
 def _image(values: np.ndarray, view: View, scene: Scene) -> np.ndarray:

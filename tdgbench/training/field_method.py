@@ -65,6 +65,7 @@ class FieldMethod(Method):
 
     renders_plain_gaussians = False
     keeps_all_points = True
+    can_learn_rig = False
     keeps_full_resolution = True
     pixels_of_check = 1024  # an image takes as long as some ten steps
     rays_at_once: int = 4096  # of an image, which are rendered together

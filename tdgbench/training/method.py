@@ -76,6 +76,7 @@ class Method:
     modalities: tuple[str, ...] = ("thermal",)  # the images that it trains on, and renders; `thermal` is scored
     renders_plain_gaussians: bool = True  # each modality's as stored under its name: no hooks, no networks
     keeps_all_points: bool = False  # begins with other than the initial points that a rule of the budget keeps
+    can_learn_rig: bool = True  # of the thermal camera (`tdgbench.training.rig`)
     keeps_full_resolution: bool = False  # its steps take as long at low resolutions: no rule begins with these
     pixels_of_check: int | None = None  # that are rendered of a held-out view by `render_pixels`; None: the whole image
     needs_prior: bool = False  # whether `context.priors` has a depth prior per training view, for a loss of depth

@@ -34,6 +34,8 @@ def try_rig(method: Method, whole: Context) -> RigTrial:
 
     The trainings are as long as the budget, at most 1 000 iterations, and have one seed. Test views are not read.
     """
+    if not method.can_learn_rig:
+        return RigTrial([], False, "the method cannot learn one")
     views = whole.scene.train
     if len(views) < 4 * FEWEST:
         return RigTrial([], False, f"{len(views)} training views are too few to hold out {FEWEST}")

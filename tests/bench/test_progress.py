@@ -144,4 +144,5 @@ def test_finished_cells_are_those_that_were_asked_for_and_have_a_result(tmp_path
     write(tmp_path, seed=2)
     titles = [f"tdg on RGBT-Scenes/Truck, colmap, seed {seed}" for seed in ("0 [all]", "1", "2")]
     outcomes = [Outcome("kept", titles[0]), Outcome("ok", titles[1]), Outcome("elsewhere", titles[2])]
-    assert [(one.method, one.seed) for one in finished_records(tmp_path, outcomes)] == [("tdg", 0)]
+    found = [(one.method, one.seed) for one in finished_records(tmp_path, outcomes)]
+    assert found == [("tdg", 0), ("tdg", 2)]  # another process ran the last one

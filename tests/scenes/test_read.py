@@ -8,6 +8,7 @@ from PIL import Image
 
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.options import split_names
+from tdgbench.scenes.registry import BUILT_IN_FILE
 from tests.helpers.scenes import load, small_dataset
 
 
@@ -117,6 +118,13 @@ def test_depth_maps_are_checked(folder):
         np.save(path, values)
         with pytest.raises(SceneError, match=r"view001\.npy is no depth map: it must hold finite numbers"):
             _ = next(v for v in load(folder).views if v.name == "view001").true_depth
+
+
+def test_depth_maps_of_a_capture_are_no_truth(folder):
+    (folder / BUILT_IN_FILE).unlink()
+    scene = load(folder)
+    assert all(view.true_depth is None and view.true_temperature is None for view in scene.views)
+    assert "depth/ is not read: only built-in scenes have true values there" in scene.notes
 
 
 def test_a_file_of_the_model_s_folder_that_is_not_utf_8(folder):

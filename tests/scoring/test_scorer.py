@@ -49,6 +49,16 @@ def test_gray_scene(small_gray_scene):
     assert values["lpips"] is None and "download is false" in scoring.missing["lpips"]
 
 
+def test_gray_in_three_channels_has_temperatures(small_gray_scene):
+    view = small_gray_scene.test[0]
+    target = to_8bit(view.thermal)
+    wrong = np.where(target < 128, target + 10, target - 10).astype(np.uint8)
+    three = replace(view, load_thermal=lambda: np.repeat(view.thermal, 3, axis=2))
+    scene = replace(small_gray_scene, test=[three], channels=3)
+    values = score(scorer(), scene, np.repeat(wrong, 3, axis=2), view.true_depth)
+    assert values["mae_degC"] == pytest.approx(10 / 255 * (50 - 14), rel=1e-5)
+
+
 def test_pseudo_color_has_no_temperature(small_scene):
     view = small_scene.test[0]
     scoring = scorer()

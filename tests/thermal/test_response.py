@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tdgbench.scenes import SceneError, TemperatureRange, View
-from tdgbench.thermal import ImageResponse, correct_values, corrected, read_response
+from tdgbench.thermal import IDEAL, ImageResponse, correct_values, corrected, read_response
 from tdgbench.thermal.maps import TERMS, evaluate
 from tests.helpers.layouts import celsius
 
@@ -32,6 +32,17 @@ def test_corrected_training_views_are_as_those_of_an_ideal_camera(drifting_scene
     assert worst(drifting_scene, clean_scene, drifting_scene.train) > 2
     assert worst(corrected_scene, clean_scene, corrected_scene.train) < 0.25  # gains of mean 1 scale the scene by 0.5 %
     assert corrected_scene.points is drifting_scene.points
+
+
+def test_an_ideal_camera_leaves_every_byte(drifting_scene, drifting_camera):
+    """Also where rounding would put values of 0 and 1 beyond the range."""
+    ideal = replace(
+        drifting_camera, offsets=np.zeros(12), gains=np.ones(12), vignette=0 * drifting_camera.vignette,
+        expected=dict.fromkeys(drifting_camera.expected, 0.0), reference=17.3,
+    )  # fmt: skip
+    found = corrected(replace(drifting_scene, temperature=TemperatureRange(-9.39, 40.37)), ideal)
+    assert found.response == IDEAL and found.scene.fingerprint == drifting_scene.fingerprint
+    assert found.scene.train == drifting_scene.train and "corrected for" in found.scene.notes[-1 - len(ideal.notes)]
 
 
 def test_nothing_is_clipped(drifting_scene, wide_camera):

@@ -66,6 +66,13 @@ def test_few_views_decide_nothing(data_root):
     assert not found.pays and found.gains == [] and "too few" in found.reason
 
 
+@pytest.mark.parametrize("name", ["ommg", "thermonerf_thermal", "oezer_scratch"])
+def test_a_method_that_cannot_learn_one_has_none(data_root, name):
+    trainer = trainer_of(configured(data_root, "synthetic_rig", f"method={name}"))
+    found = try_rig(trainer.method, trainer.whole_context)
+    assert not found.pays and found.reason == "the method cannot learn one"
+
+
 @pytest.mark.parametrize("pays", [True, False])
 def test_a_cell_stores_the_verdict_and_verifies(data_root, tmp_path, monkeypatch, pays):
     cfg = configured(data_root, "synthetic", "thermal_camera.rig=auto")

@@ -27,11 +27,11 @@ def differences(shown: ScoredView) -> np.ndarray:
         raise NotApplicableError(IN_PALETTE)
     if shown.scene is None or shown.scene.temperature is None:
         raise NotApplicableError("the scene has no temperature range (temperature.json)")
-    if shown.scene.channels != 1:
+    if in_pseudo_colour([shown.view]):
         raise NotApplicableError(IN_PALETTE)
     image, target = shown.pair("thermal").pixels
     span = shown.scene.temperature.max - shown.scene.temperature.min
-    return np.asarray((image - target).astype(np.float64) * span)
+    return np.asarray((image - target).mean(axis=-1, keepdims=True, dtype=np.float64) * span)
 
 
 def mae_degC(shown: ScoredView) -> float:
