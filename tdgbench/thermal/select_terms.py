@@ -61,7 +61,30 @@ def choose_terms(data: PointSamples, stds: ExpectedErrors, positions: np.ndarray
         needed = BETTER_WITH_GAINS if terms.gains and not best.gains else BETTER
         if min(change) < needed and change[0] * change[1] < needed:
             best, least = terms, errors
+    if best.vignette and not _needs_vignette(some, best, least[1], stds, positions):
+        return best._replace(vignette=False, offsets=True)
     return best
+
+
+def _needs_vignette(
+    data: PointSamples, terms: Terms, halves: np.ndarray, stds: ExpectedErrors, positions: np.ndarray
+) -> bool:
+    """Return whether offsets alone do not explain as much with more likely numbers.
+
+    Along a line, a tilted vignette and a drift show the points alike. What tells them apart is the other half of an
+    image, whose errors (S,) with these terms are `halves`, and else the prior: a tilt must be large where steps are
+    small.
+    """
+    plain = terms._replace(vignette=False, offsets=True)
+    _, of_plain = held_out_errors(data, plain, stds, positions)
+    if _size(of_plain, halves) > _size(halves, halves) / BETTER:
+        return True
+    precision, costs = prior_precision(data, stds), []
+    for some in (terms, plain):
+        fitted = fit(data, some, precision)
+        change = np.concatenate([*fitted.response, fitted.vignette]) - data.ideal
+        costs.append(float(change @ precision @ change))
+    return costs[0] <= costs[1]
 
 
 def prior_precision(

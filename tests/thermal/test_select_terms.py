@@ -32,6 +32,14 @@ def test_terms_are_those_of_the_camera(camera, terms):
     assert choose_terms(observations(**camera)[0], DEGC, ORDER) == terms
 
 
+@pytest.mark.parametrize(("travel", "jitter"), [(0.2, 0.0), (0.2, 0.3), (1.0, 0.0)])
+def test_a_drift_along_a_line_is_no_vignette(travel, jitter):
+    """Image widths; °C. A tilted vignette of 4 to 20 °C would show the points alike, and is less likely."""
+    data = along_a_line(travel, 0.0, noise=0.1)
+    offsets = np.linspace(-2, 2, 12) + np.random.default_rng(0).normal(0, jitter, 12)
+    assert choose_terms(replace(data, value=data.value + offsets[data.view]), DEGC, ORDER) == Terms(offsets=True)
+
+
 def test_offsets_without_an_order_are_accepted_for_truer_temperatures():
     """The view's own offset cannot be expected then, but the other half of its image tells it."""
     offsets = np.random.default_rng(2).normal(0, 2, 12)
