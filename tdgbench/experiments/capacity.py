@@ -177,7 +177,7 @@ def _of_group(group: pd.DataFrame, there: pd.DataFrame, first: str) -> dict[str,
     has_all = there["scene"].nunique() == 1 or len(group) == len(there[["scene", "seed"]].drop_duplicates())
     for metric in QUALITY:
         sign = 1 if measure_of(metric).higher_is_better else -1
-        row |= _mean(metric, group["scene"], pd.to_numeric(group[metric]) * (1.0 if has_all else np.nan))
+        row |= _mean(metric, group["scene"], pd.to_numeric(group[metric]), has_all)
         gains = sign * (pd.to_numeric(pairs[f"{metric}_first"]) - pd.to_numeric(pairs[metric]))
         row |= _mean(f"{metric}_gain", pairs["scene"], gains)
     gain, half = row["psnr_gain"], row["psnr_gain_half"]
@@ -186,18 +186,16 @@ def _of_group(group: pd.DataFrame, there: pd.DataFrame, first: str) -> dict[str,
     return {**row, IMAGES: group[IMAGES].iloc[0]}
 
 
-def _mean(name: str, scenes: pd.Series, values: pd.Series) -> dict[str, float]:
-    """Return the mean of values and half of its 95 % interval, of which each scene is one of several; NaN: unknown."""
+def _mean(name: str, scenes: pd.Series, values: pd.Series, has_all: bool = True) -> dict[str, float]:
+    """Return the mean of values and half of its 95 % interval, of which each scene is one of several; NaN: unknown.
+
+    has_all: whether no cell is missing; else there is no mean.
+    """
     known = values.notna()
-    if not known.any():
+    if not has_all or not known.any():
         return {name: np.nan, f"{name}_half": np.nan}
     found = gain_interval([("", scene) for scene in scenes[known]], values[known])
     return {name: found.mean, f"{name}_half": found.mean - found.low}
-
-
-def _mean_of_all(name: str, scenes: pd.Series, values: pd.Series) -> dict[str, float]:
-    """Return `_mean`, which is unknown if one of the values is."""
-    return _mean(name, scenes, values if values.notna().all() else values * np.nan)
 
 
 def _span(counts: pd.Series) -> str:
@@ -219,7 +217,10 @@ def over_seeds_of_times(times: pd.DataFrame) -> pd.DataFrame:
         [
             {
                 **dict(zip(("scene", "label", "after"), names, strict=True)),
-                **{k: v for metric in QUALITY for k, v in _mean_of_all(metric, group["scene"], group[metric]).items()},
+                **{
+                    k: v for metric in QUALITY
+                    for k, v in _mean(metric, group["scene"], group[metric], bool(group[metric].notna().all())).items()
+                },
                 "seeds": int(group["psnr"].notna().sum()), "ended": int(group["ended"].sum()),
                 IMAGES: group[IMAGES].iloc[0],
             }

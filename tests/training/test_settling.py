@@ -328,25 +328,3 @@ def test_nothing_settles_before_a_given_number_of_gaussians_is_reached():
     filling.part.is_filling = lambda iteration: iteration < 400
     first = next(i for i in range(10, 1000, 10) if filling.reached(i) or filling.curriculum.settled_at)
     assert first == 400
-
-
-def test_radiance_fields_check_some_pixels_and_keep_their_resolution(small_gray_scene, monkeypatch):
-    trainer = ready_to_train(
-        small_gray_scene, "thermonerf_thermal", 20, "budget=lean", "budget.iterations=20", "budget.field.rays=64",
-        "budget.pixels.smallest_side=8", "budget.settling.fewest=1", "budget.settling.every=5",
-        "budget.settling.full_after=0",
-    )  # fmt: skip
-    trainer.method.pixels_of_check, asked = 50, []
-    some = trainer.method.render_pixels
-    monkeypatch.setattr(trainer.method, "render_pixels", lambda *words: asked.append(words) or some(*words))
-    monkeypatch.setattr(trainer.method, "render", None)
-    train(trainer)
-    curriculum = trainer.context.curricula["thermal"]
-    assert curriculum.iterations == {1: 20} and [check[0] for check in curriculum.checks] == [5, 10, 15]
-    assert len(asked) == 3 and all(torch.equal(pixels, asked[0][1]) for _, pixels, _ in asked)
-    monkeypatch.undo()
-    view = curriculum.held_out[0]
-    trainer.method.pixels_of_check = view.camera.width * view.camera.height
-    of_all = trainer.psnr_of(view)
-    trainer.method.pixels_of_check = None
-    assert of_all == pytest.approx(trainer.psnr_of(view), abs=1e-5)
