@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import sys
 from pathlib import Path
-from unittest import mock
 
 import pytest
 import torch
@@ -16,6 +15,7 @@ from tdgbench.cells.key import cell_key
 from tdgbench.cells.known_classes import UnknownMethodError, built, method_of
 from tdgbench.cells.record import read_record
 from tests.helpers.command import tdgbench, tdgbench_here
+from tests.helpers.modules import forgotten
 
 CELL = "results/theirs/cells/tdg/synthetic/turntable/colmap/seed0"
 NOT_RUN = "method tdg is none of tdgbench's and was not run: if its class is yours, name it with --trust"
@@ -66,9 +66,9 @@ TOOLS = {
 @pytest.mark.parametrize("words", TOOLS.values(), ids=TOOLS)
 def test_a_class_in_the_working_folder_is_not_imported(small_results, tmp_path, rogue, scored_anew, words):
     theirs(tmp_path, small_results, rogue)
-    with mock.patch.dict(sys.modules):
+    with forgotten(tmp_path):
         run = tdgbench_here(tmp_path, *words)
-    assert not (tmp_path / "was_here").exists() and "rogue" not in sys.modules
+        assert not (tmp_path / "was_here").exists() and "rogue" not in sys.modules
     if words[0] == "score":  # what the pictures give, and why the rest is n/a
         assert run.returncode == 0, run.stdout
         ((folder, _),) = [(path.parent, path) for path in (tmp_path / "results/again").rglob("record.json")]
@@ -103,7 +103,7 @@ def test_a_method_that_the_user_trusts_is_run(small_results, tmp_path, rogue):
     (tmp_path / "yaml/method").mkdir(parents=True)
     (tmp_path / "yaml/method/mine.yaml").write_text("name: mine\nmethod:\n  _target_: rogue.Mine\n")
     for trusted in (("--trust", "rogue.Mine"), ("--config-dir", "yaml")):
-        with mock.patch.dict(sys.modules):
+        with forgotten(tmp_path):
             run = tdgbench_here(tmp_path, "verify", "results/theirs", *trusted)
         assert "none of tdgbench's" not in run.stdout and (tmp_path / "was_here").exists(), run.stderr
         (tmp_path / "was_here").unlink()
@@ -114,7 +114,7 @@ def test_a_method_that_the_user_trusts_is_run(small_results, tmp_path, rogue):
 def test_a_method_that_ends_the_process_is_no_success(small_results, tmp_path, rogue, scored_anew):
     theirs(tmp_path, small_results, rogue)
     for words in TOOLS.values():
-        with mock.patch.dict(sys.modules):
+        with forgotten(tmp_path):
             run = tdgbench_here(tmp_path, *words, "--trust", rogue)
         assert run.returncode == 1, words
 
