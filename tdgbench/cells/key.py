@@ -121,3 +121,16 @@ def flat(config: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     for name, value in config.items():
         named |= flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {prefix + name: value}
     return named
+
+
+def with_rules(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `flat` options, and those that hold them as `on`: so a rule that is null differs from one that is set.
+
+    >>> with_rules({"budget.plateau": None, "budget.growth.views": 4})
+    {'budget.plateau': None, 'budget.growth': 'on', 'budget.growth.views': 4}
+    """
+    named: dict[str, Any] = {}
+    for name, value in options.items():
+        parts = name.split(".")
+        named |= {".".join(parts[:count]): "on" for count in range(2, len(parts))} | {name: value}
+    return named

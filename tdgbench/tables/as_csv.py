@@ -26,20 +26,27 @@ def as_csv(table: pd.DataFrame, as_is: Collection[str] = (), na_rep: str = "") -
 
 
 def to_csv(table: pd.DataFrame) -> str:
-    """Return CSV text: numbers of columns of floats with six digits, n/a for missing ones.
+    """Return CSV text: floats with six decimals, small ones with six digits; n/a for missing ones.
 
-    >>> print(to_csv(pd.DataFrame({"scene": ["a", "b"], "value": [1.25, float("nan")]})), end="")
+    >>> print(to_csv(pd.DataFrame({"scene": ["a", "b", "c"], "value": [1.25, float("nan"), 2.1e-7]})), end="")
     scene,value
     a,1.25
     b,n/a
+    c,2.1e-07
     """
     table = table.copy()
     numbers = [name for name in table.columns if pd.api.types.is_float_dtype(table[name])]
     for name in numbers:
-        table[name] = ["n/a" if pd.isna(v) else f"{v:.6f}".rstrip("0").rstrip(".") for v in table[name]]
+        table[name] = ["n/a" if pd.isna(v) else _digits(v) for v in table[name]]
     if "bold" in table:
         table["bold"] = table["bold"].map({True: "true", False: "false"})
     return as_csv(table, as_is=numbers)
+
+
+def _digits(value: float) -> str:
+    if value == 0:  # -0.0 as well
+        return "0"
+    return f"{value:.6f}".rstrip("0").rstrip(".") if abs(value) >= 0.001 else f"{value:.6g}"
 
 
 class _Rows(StringIO):

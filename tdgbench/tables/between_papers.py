@@ -7,15 +7,19 @@ papers average over different scenes.
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 
 import numpy as np
 import pandas as pd
 
+from tdgbench.cells.record import Record
 from tdgbench.tables.long_table import with_averages
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL, digits, gain, measure_of
 from tdgbench.tables.methods import label, paper_pair
+from tdgbench.tables.palette import with_text_of_cells
 from tdgbench.tables.published import PAPER, load_sources, published_elsewhere, published_main
+from tdgbench.tables.published_setup import departures
 
 PLACE = ["method", "dataset", "scene", "metric"]
 SHARED = "Average (shared scenes)"
@@ -52,18 +56,23 @@ def with_other_papers(differences: pd.DataFrame) -> pd.DataFrame:
     return merged
 
 
-def against_others(main: pd.DataFrame) -> pd.DataFrame:
+def against_others(main: pd.DataFrame, records: Sequence[Record], column: Callable[[Record], str]) -> pd.DataFrame:
     """Return other papers' numbers of our methods beside ours: source, PLACE, printed_as, selected_on, published, ours,
-    std, seeds, image_values (of ours), difference (ours − published).
+    std, seeds, image_values (of ours), difference (ours − published), unlike.
 
-    Averages are left out: papers average over different scenes.
+    unlike: in what our cells are not of the published setup; where there is anything, the difference is n/a. records:
+    behind the main table; column: of a record's method. Averages are left out: papers average over different scenes.
     """
     others = published_elsewhere().rename(columns={"value": "published"}).drop(columns="group")
     sources = load_sources()
     others["selected_on"] = [sources[name]["selected_on"] for name in others["source"]]
     ours = main[[*PLACE, "value", "std", "seeds", "image_values"]].rename(columns={"value": "ours"})
     merged = others[others["scene"] != AVERAGE].merge(ours, on=PLACE)
-    return merged.assign(difference=merged["ours"] - merged["published"])
+    setups = {metric: partial(departures, metric=metric) for metric in dict.fromkeys(merged["metric"])}
+    told = with_text_of_cells(merged, records, setups, column)
+    unlike = [told.at[row, metric] for row, metric in merged["metric"].items()]
+    difference = (merged["ours"] - merged["published"]).where([not text for text in unlike])
+    return merged.assign(difference=difference, unlike=unlike)
 
 
 def gain_against_spread(main: pd.DataFrame, metrics: list[str]) -> str:

@@ -202,7 +202,8 @@ def _write(tables: Tables) -> None:
     found: dict[str, pd.DataFrame | None] = {
         "main": _with_selected(tables), "readings": tables.readings, "effects": tables.effects,
         "difference": tables.difference, "between_papers": tables.papers, "compared": None, "paired": None,
-        "others": None if tables.papers is None or tables.is_ablation else against_others(tables.main),
+        "others": None if tables.papers is None or tables.is_ablation else against_others(
+            tables.main, tables.records, COLUMN_OF),
         **comparison_tables(tables.comparisons),
     }  # fmt: skip
     tables.folder.mkdir(parents=True, exist_ok=True)

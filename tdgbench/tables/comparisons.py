@@ -43,8 +43,8 @@ def bold_note() -> str:
     """Return what bold type in tables means."""
     return (
         "bold: the best, and all whose difference from it has an interval (95 %, over seeds) that includes 0 or lies "
-        f"within the margin ({margins_in_words()}; of other scores half a unit of print, of times none); none where a "
-        f"method has fewer than {FEWEST_SEEDS} seeds"
+        f"within the margin ({margins_in_words()}; of other scores half a unit of print, of times none), over "
+        f"the seeds that all methods have; none with fewer than {FEWEST_SEEDS}"
     )
 
 
@@ -113,8 +113,8 @@ def change_over_seeds(metric: str, new: np.ndarray, old: np.ndarray) -> Change:
 def best_or_tied(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.ndarray:
     """Return whether each method (N,) bool is the best, or cannot be told from it: those that a table prints bold.
 
-    values: means (N,), NaN for n/a. by_seed: (N, S), NaN where a method lacks the seed. None is, unless each method
-    has FEWEST_SEEDS in common with the best.
+    values: means (N,), NaN for n/a. by_seed: (N, S), NaN where a method lacks the seed. Only seeds that all methods
+    with a mean have count; with less than FEWEST_SEEDS of them, none is.
 
     >>> seeds = np.array([[20.0, 20.2, 20.1], [30.0, 30.1, 30.0], [30.0, 30.3, 30.1]])
     >>> best_or_tied("psnr", seeds.mean(axis=1), seeds).tolist()
@@ -124,11 +124,12 @@ def best_or_tied(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.nda
     marks = np.zeros(len(values), dtype=bool)
     if len(known) < 2 or not measure_of(metric).has_better_side or is_of_training(metric):
         return marks
-    best = max(known, key=lambda i: gain(metric, values[i], 0.0))
-    changes = {i: change_over_seeds(metric, by_seed[i], by_seed[best]) for i in known if i != best}
-    if any(change.seeds < FEWEST_SEEDS for change in changes.values()):
+    shared = by_seed[:, np.isfinite(by_seed[known]).all(axis=0)]
+    if shared.shape[1] < FEWEST_SEEDS:
         return marks
-    marks[[best, *(i for i, change in changes.items() if change.verdict in (EQUAL, UNDECIDED))]] = True
+    best = max(known, key=lambda i: gain(metric, shared[i].mean(), 0.0))
+    verdicts = {i: change_over_seeds(metric, shared[i], shared[best]).verdict for i in known if i != best}
+    marks[[best, *(i for i, verdict in verdicts.items() if verdict in (EQUAL, UNDECIDED))]] = True
     return marks
 
 

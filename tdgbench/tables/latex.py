@@ -31,7 +31,7 @@ from tdgbench.text import one_line
 ESCAPES = {
     **{c: f"\\{c}" for c in "&%$#_{}"},
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}",
-    ">": r"\textgreater{}", "|": r"\textbar{}", '"': r"\textquotedbl{}", "…": r"\ldots{}", "–": "--", "—": "---",
+    ">": r"\textgreater{}", "|": r"\textbar{}", '"': "''", "…": r"\ldots{}", "–": "--", "—": "---",
     "→": r"$\to$", "±": r"$\pm$", "×": r"$\times$", "−": "$-$", "°": r"$^\circ$", "’": "'", "\N{NO-BREAK SPACE}": "~",
 }  # fmt: skip
 KNOWN_TO_PDFLATEX = range(0xC0, 0x100)  # accented letters of Latin-1, but for those that need another font encoding
@@ -173,10 +173,10 @@ UNITS = (TimeUnit("h", 1, HOURS.digits), TimeUnit("min", 1 / 60, 1), TimeUnit("s
 
 def _time_unit(cells: Sequence[GridCell]) -> TimeUnit:
     """Return the unit of a table's times: hours beside published ones, else the largest that is no longer than any."""
-    longest = max((cell.value for cell in cells if not np.isnan(cell.value)), default=1.0)
+    shortest = min((cell.value for cell in cells if not np.isnan(cell.value)), default=1.0)
     if any(cell.published for cell in cells):
         return UNITS[0]
-    return next((unit for unit in UNITS if longest >= unit.hours), UNITS[-1])
+    return next((unit for unit in UNITS if shortest >= unit.hours), UNITS[-1])
 
 
 def _range(rows: Iterable[GridRow], grid: Grid) -> str:

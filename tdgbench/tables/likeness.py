@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from tdgbench.cells.key import LACKING, differences, flat
+from tdgbench.cells.key import LACKING, differences, flat, with_rules
 from tdgbench.cells.protocol import protocol_settings
 from tdgbench.cells.record import Record
 from tdgbench.tables import methods
@@ -311,7 +311,7 @@ def _traits(records: Sequence[Record]) -> list[dict[str, object]]:
 def _traits_of(record: Record) -> dict[str, object]:
     config = {name: part for name, part in record.config.items() if isinstance(part, dict)}
     groups = (*(() if record.made_elsewhere else GROUPS), "method", "init")
-    options = flat({name: config[name] for name in groups if name in config}) | protocol_settings(config)
+    options = with_rules(flat({name: config[name] for name in groups if name in config})) | protocol_settings(config)
     traits: dict[str, object] = {}
     for name, value in options.items():
         is_place = record.made_elsewhere is not None and name in PLACES

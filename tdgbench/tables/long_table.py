@@ -90,15 +90,16 @@ def cell_rows(
 ) -> pd.DataFrame:
     """Return rows (KEYS, seed, value, reason) of every method × scene × metric × record; n/a where there is no record.
 
-    With `init` only its records count, and inits do not make columns. asked: further metrics.
+    With `init` only its records count, on the scenes of all, and inits do not make columns. asked: further metrics.
     """
     by_place: dict[tuple[str, str, str], list[Record]] = {}
+    records = list(records)
     chosen = [r for r in records if init in (None, r.init)]
     for record in chosen:
         place = (method_label(record, with_init=init is None), record.dataset, record.scene)
         by_place.setdefault(place, []).append(record)
     labels = {label for label, _, _ in by_place}
-    scenes = _scenes(chosen, plan)
+    scenes = _scenes(records, plan)
     of_paper = any(s.dataset in DATASETS.values() for s in scenes)
     without_records = {*plan.methods, *(methods.paper_pair() if of_paper else ())} - {r.method for r in chosen}
     rows = []

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.cells.key import as_json, flat
+from tdgbench.cells.key import as_json, flat, with_rules
 from tdgbench.cells.record import Record
 from tdgbench.resources import conf_folder
 from tdgbench.tables import methods
@@ -72,8 +72,11 @@ def _budget_in_words(budget: str, method: str) -> str:
     known = stated.items() if isinstance(stated, dict) else ()
     plain = {n: v for n, v in known if not isinstance(v, dict | list) and "$" not in str(v)}  # nothing is resolved
     whole = OmegaConf.create({"method": plain, "budget": stated_by_file})
-    usual = flat(as_json(OmegaConf.to_container(whole.budget, resolve=True)))
-    changed = [f"{n}={as_typed(v)}" for n, v in flat(options).items() if n in usual and usual[n] != v]
+    usual, own = (
+        with_rules(flat({"budget": part}))
+        for part in (as_json(OmegaConf.to_container(whole.budget, resolve=True)), options)
+    )
+    changed = [f"{n.removeprefix('budget.')}={as_typed(v)}" for n, v in own.items() if n in usual and usual[n] != v]
     return shortened(f"budget {name}{' with ' * bool(changed)}{', '.join(changed)}")
 
 

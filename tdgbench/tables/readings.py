@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.cells.record import Record
+from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.scoring import METRICS
 from tdgbench.tables import methods
 from tdgbench.tables.likeness import setups
@@ -105,7 +106,8 @@ def readings(cells: pd.DataFrame) -> pd.DataFrame:
 
     Averages are over the scenes that every method and length has; a seed that lacks one of them has no average. A mean
     over seeds of unlike trainings is NaN, and in no average.
-    published: the paper's number, beside its baseline at the most iterations and its method at the fewest.
+    published: the paper's number from COLMAP's points, beside its baseline at the most iterations and its method at the
+    fewest; of an average, only if it is over the paper's scenes.
     """
     keys = ["method", "iterations", "init", "split", "metric"]
     if cells.empty:
@@ -127,7 +129,7 @@ def readings(cells: pd.DataFrame) -> pd.DataFrame:
     table = pd.concat(by_seed, ignore_index=True)
     grouped = table.groupby([*keys[:4], "dataset", "scene", "metric"], sort=False)
     scores = grouped.agg(value=("value", "mean"), std=("value", "std"), seeds=("seed", "nunique")).reset_index()
-    return _with_published(scores)
+    return _with_published(scores, shared)
 
 
 def widest_average(rows: pd.DataFrame) -> pd.DataFrame:
@@ -154,7 +156,8 @@ def _shared_scenes(cells: pd.DataFrame) -> set[tuple[str, str]]:
     return set.intersection(*places) if places else set()
 
 
-def _with_published(scores: pd.DataFrame) -> pd.DataFrame:
+def _with_published(scores: pd.DataFrame, shared: set[tuple[str, str]]) -> pd.DataFrame:
+    """Return `readings` with the column `published`. shared: (dataset, scene) that averages are over."""
     printed = published_main()[["method", "dataset", "scene", "metric", "value"]].rename(columns={"value": "published"})
     length = {}
     pair = methods.paper_pair()
@@ -163,7 +166,15 @@ def _with_published(scores: pd.DataFrame) -> pd.DataFrame:
         if len(of_method):
             length[method] = choose(of_method)
     printed["iterations"] = printed["method"].map(length)
-    return scores.merge(printed, on=["method", "iterations", "dataset", "scene", "metric"], how="left")
+    table = scores.merge(printed, on=["method", "iterations", "dataset", "scene", "metric"], how="left")
+    papers = {(DATASETS[scene.dataset], scene.name) for scene in SCENES}
+
+    def is_over_others(dataset: str) -> bool:
+        return {one for one in shared if dataset in ("", one[0])} != {one for one in papers if dataset in ("", one[0])}
+
+    is_average = table["scene"].isin((AVERAGE, OVERALL))
+    unlike = (table["init"] != "colmap") | (is_average & table["dataset"].map(is_over_others))
+    return table.assign(published=table["published"].mask(unlike))
 
 
 def effects(cells: pd.DataFrame) -> pd.DataFrame:

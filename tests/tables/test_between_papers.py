@@ -106,3 +106,13 @@ def test_our_numbers_stand_beside_those_of_other_papers(tmp_path):
     assert row["difference"].tolist() == pytest.approx([25.0 - printed])
     assert row["source"].tolist() == ["thermosplat-2601"]
     assert set(table["selected_on"]) == {"not known here"} and "Average" not in set(table["scene"])
+    assert table["unlike"].isna().all()
+
+
+def test_a_difference_of_another_setup_is_none(tmp_path):
+    write(tmp_path, "mmone", "Truck", config={"budget": {"name": "paper"}, "metrics": {"lpips": {"net": "squeeze"}}})
+    build_tables(tmp_path)
+    table = pd.read_csv(tmp_path / "tables" / "others.csv").query("method == 'mmone' and scene == 'Truck'")
+    is_lpips = table["metric"] == "lpips"
+    assert table.loc[is_lpips, "difference"].isna().all() and table.loc[~is_lpips, "difference"].notna().all()
+    assert set(table.loc[is_lpips, "unlike"]) == {"metrics.lpips.net=squeeze"}

@@ -69,6 +69,16 @@ def test_ablation(tmp_path):
     assert (tables.difference["verdict"] == "undecided").all()
 
 
+def test_an_ablation_compares_no_means_over_unequal_scenes(tmp_path):
+    for init, scenes in (("colmap", {"orbit": 30.0, "night": 20.0}), ("random", {"orbit": 27.0})):
+        for scene, psnr in scenes.items():
+            write(tmp_path, scene=scene, dataset="synthetic", init=init, scores={"psnr": psnr})
+    Plan("ablation").write(tmp_path)
+    rows = build_tables(tmp_path).main.query("metric == 'psnr'").set_index("init")
+    assert rows.loc["colmap", "value"] == 25 and np.isnan(rows.loc["random", "value"])
+    assert rows.loc["random", "reason"] == "1 of 2 scenes are n/a"
+
+
 def test_each_kind_of_random_points_is_held_against_the_published_one(tmp_path):
     write_ablation(tmp_path)
     for record in read_all(tmp_path):

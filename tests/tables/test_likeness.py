@@ -62,6 +62,17 @@ def test_a_longer_training_wins_nothing(tmp_path, capsys):
     assert bold(build_tables(tmp_path, RANKED)) == {"3dgs"}
 
 
+@pytest.mark.parametrize("rule", [None, {"views": 4}])
+def test_a_rule_that_is_on_in_one_training_alone_sets_it_apart(tmp_path, rule):
+    def lean(growth):
+        return {"config": {"budget": {"name": "lean", "growth": growth}}}
+
+    tables = run(tmp_path, {"msmg": lean(rule), "tdg": lean({"views": 4})})
+    assert bold(tables) == (set() if rule is None else {"tdg"})
+    note = "unlike trainings: budget.growth: null (MSMG), on (TDg)"
+    assert (note in tables.grid.notes) == (rule is None)
+
+
 @pytest.mark.parametrize(
     ("fields", "note"),
     [

@@ -1,7 +1,8 @@
+import pytest
 from omegaconf import OmegaConf
 
 from tdgbench.cells.record import Record
-from tdgbench.tables.overrides import override_notes, overrides_of
+from tdgbench.tables.overrides import override_notes, overrides_of, training_in_words
 from tests.helpers.configs import config
 
 
@@ -13,6 +14,21 @@ def record(method="tdg", variant="", options=()):
 def test_options_that_the_files_state_or_leave_open_are_none():
     assert overrides_of(record()) == overrides_of(record("msmg", options=["budget=short"])) == []
     assert overrides_of(Record("mine", "", "a", "colmap", 0, "", "", config={"method": {"own": 1}})) == []
+
+
+@pytest.mark.parametrize(
+    ("budget", "words"),
+    [
+        (["budget=paper"], "budget paper"),
+        (["budget=paper", "+budget.pixels={size: 2}"], "budget paper with pixels=on"),
+        (["budget=lean", "budget.growth=null"], "budget lean with growth=null"),
+    ],
+)
+def test_a_rule_on_or_off_is_no_budget_of_the_file(budget, words):
+    whole = config("method=3dgs", *budget)
+    resolved = {"budget": OmegaConf.to_container(whole.budget, resolve=True), "method": {}}
+    cell = Record("tdg", "synthetic", "orbit", "colmap", 0, "", "", config=resolved)
+    assert training_in_words(cell) == words
 
 
 def test_a_note_tells_what_the_name_of_a_column_does_not():

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -17,7 +18,7 @@ from tdgbench.cells.prior_sources import SOURCES
 from tdgbench.cells.record import Record, no_records
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
-from tdgbench.tables.likeness import setups, was_disturbed
+from tdgbench.tables.likeness import Trainings, setups, was_disturbed
 from tdgbench.tables.long_table import cell_rows, iterations_in_words, scene_rows, with_averages
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL
 from tdgbench.tables.overrides import overrides_of
@@ -189,6 +190,7 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
 
     Cells with overrides of a method, a prior or an init do not count: they are not what the YAML files have.
     Cells whose prior is made from the sparse points do not: these may come from RGB images, and TDg has thermal ones.
+    A number of a method over unlike trainings is n/a.
     Raises ValueError for a folder without records.
     """
     found: list[list[Cell]] = []
@@ -212,7 +214,9 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     chosen = evidence.published_cells
     plan = Plan(methods=list(methods.paper_pair()) if chosen else [])
     rows = _with_times_of_one_machine(cell_rows([replace(cell.record, variant="") for cell in chosen], plan), chosen)
-    main, by_seed = with_averages(scene_rows(rows)), seed_values(rows) if chosen else None
+    by_seed = seed_values(rows) if chosen else None
+    trainings = Trainings([cell.record for cell in chosen], attrgetter("method"), is_ranking_unlike=False)
+    main, *_ = trainings.set_apart(with_averages(scene_rows(rows)))
     note = "; ".join(filter(None, [_lengths(chosen), evidence.published_pairs[1]]))
     sentences = (
         (method, f"{n} training{'s' * (n > 1)} of {methods.label(method)} count{'s' * (n == 1)} for no claim: {why}")

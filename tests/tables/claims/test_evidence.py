@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from tdgbench.cells.record import Failure, Record
@@ -85,6 +86,17 @@ def test_several_data_sets_have_an_overall_average(tmp_path):
         write(tmp_path, method, 20.0, scene="arco", dataset="folder")
     found = evidence_of([tmp_path])
     assert found.overall == "Average (Overall)" and psnr(found, "tdg", found.overall) == 25
+
+
+def test_no_number_is_over_unlike_trainings(tmp_path):
+    for name, width, value in (("one", 640, 30.0), ("two", 320, 20.0)):
+        for method in ("tdg", "msmg"):
+            config = {"budget": {"iterations": 1000}, "dataset": {"options": {"width": width}}}
+            write(tmp_path / name, method, value, config=config)
+    found = evidence_of([tmp_path / "one", tmp_path / "two"])
+    assert np.isnan(psnr(found, "tdg", "orbit")) and psnr(evidence_of([tmp_path / "one"]), "tdg", "orbit") == 30
+    reasons = found.main.query("scene == 'orbit' and metric == 'psnr'")["reason"]
+    assert set(reasons) == {"its seeds are unlike trainings (data.width: 640, 320)"}
 
 
 def test_what_does_not_count(tmp_path):
