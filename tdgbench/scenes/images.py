@@ -94,11 +94,29 @@ def resize(image: np.ndarray, width: int, height: int, method: Image.Resampling 
 
     >>> resize(np.array([[[0.0], [1.0]], [[1.0], [2.0]]], np.float32), width=1, height=1)
     array([[[1.]]], dtype=float32)
+    >>> resize(np.array([[[0.0], [3.0], [6.0]]], np.float32), width=2, height=1).ravel()
+    array([1., 5.], dtype=float32)
     """
     if image.shape[:2] == (height, width):
         return image
-    shrinks = width <= image.shape[1] and height <= image.shape[0]
-    if method is None:
-        method = Image.Resampling.BOX if shrinks else Image.Resampling.BILINEAR
+    rows, columns = image.shape[:2]
+    if method is None and width <= columns and height <= rows:
+        if rows % height or columns % width:  # Pillow's BOX gives each pixel to one result, as a whole
+            return _area_average(_area_average(image, height).swapaxes(0, 1), width).swapaxes(0, 1)
+        method = Image.Resampling.BOX
+    method = Image.Resampling.BILINEAR if method is None else method
     planes = [Image.fromarray(np.ascontiguousarray(image[..., c])) for c in range(image.shape[2])]
     return np.stack([np.asarray(plane.resize((width, height), method)) for plane in planes], axis=-1)
+
+
+def _area_average(image: np.ndarray, count: int) -> np.ndarray:
+    """Return the means (count, W, C) of equal parts of an image's (H, W, C) rows, which share rows at their edges."""
+    rows = len(image)
+    edges = np.linspace(0, rows, count + 1)
+    starts = np.floor(edges[:-1]).astype(int)
+    most = -(-rows // count) + 1  # rows that a part touches
+    touched = np.minimum(starts[:, None] + np.arange(most), rows - 1)
+    ends = np.minimum(edges[1:, None], starts[:, None] + np.arange(most) + 1)
+    shares = np.clip(ends - np.maximum(edges[:-1, None], starts[:, None] + np.arange(most)), 0, None) * (count / rows)
+    average = sum(shares[:, i, None, None].astype(np.float32) * image[touched[:, i]] for i in range(most))
+    return np.ascontiguousarray(average, np.float32)

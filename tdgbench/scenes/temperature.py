@@ -16,6 +16,8 @@ from tdgbench.text import shortened
 
 FILE = "temperature.json"
 KEYS = "min", "max"
+OF_COUNTS = "degC_per_count", "degC_at_zero"
+UNITS = "degc", "°c", "c", "celsius"
 # Of ThermoScenes, in °C: Schindler-EPFL-Lab/thermo-nerf 08d9be9, thermo_scenes/flir_thermal_images/custom_flir.py.
 BOUNDS_FILE = "temperature_bounds.json"
 BOUNDS_KEYS = "absolute_min_temperature", "absolute_max_temperature"
@@ -61,6 +63,11 @@ def read_radiometry(path: Path, keys: tuple[str, str] = KEYS) -> Radiometry | No
         content = read_json(path)
         if not isinstance(content, dict) or not {*keys} <= content.keys():
             raise ValueError("it does not have both")
+        unknown = [key for key in content if key.startswith("degC") and key not in OF_COUNTS]
+        if unknown or ("degC_at_zero" in content and content.get("degC_per_count") is None):
+            raise ValueError(f"of counts it may have {OF_COUNTS[0]}, and with it {OF_COUNTS[1]}")
+        if str(unit := content.get("unit", "degC")).lower() not in UNITS:
+            raise ValueError(f"its unit {shortened(repr(unit), 60)} is not degC")
         span = check_range(content[lowest], content[highest])
         per_count = content.get("degC_per_count")
         if per_count is not None and finite_number(per_count) == 0:

@@ -32,7 +32,8 @@ from tdgbench.scenes.view_images import (
 )
 from tdgbench.text import first_few
 
-LIKE_KELVIN = (233.0, 343.0)  # -40 to 70 °C: a whole scene so hot is none that people walk about
+LIKE_KELVIN = 233.0  # -40 °C: nothing so cold, in °C, is in a scene that people walk about; objects may be hotter
+SCALED = " TIFF of TlinearGain"  # of 16-bit images that state their scale
 
 
 class Unit(NamedTuple):
@@ -99,14 +100,21 @@ class ThermalRequest:
 def thermal_images(request: ThermalRequest) -> ThermalImages:
     """Read thermal images as `options.thermal` says. Raises SceneError.
 
-    Shown float images hold °C, 16-bit ones without a range raw counts.
+    Shown float images hold °C, 16-bit ones of a known scale too; without a scale and a range, these are raw counts.
     """
     if request.options.thermal == "radiometric":
         return measured_images(request, request.reader)
-    kinds = _kinds(request.sources)
-    has_counts = request.radiometry is None and any(kind.startswith("16-bit") for kind in kinds)
-    if not has_counts and "float" not in kinds:
-        return shown_images(request.sources, request.radiometry, request.options.channels)
+    kinds, known = _kinds(request.sources), request.radiometry
+    are_counts = [kind.startswith("16-bit") for kind in kinds]
+    if known is not None and all(are_counts) and (known.scale.is_known or all(SCALED in kind for kind in kinds)):
+        return measured_images(request, request.reader, CELSIUS_OF_IMAGES)
+    if "float" not in kinds and (known is not None or not any(are_counts)):
+        if request.options.fillers:
+            raise SceneError(
+                f"{request.folder}: data.fillers is in °C or raw counts, which these images do not hold; hide pixels "
+                "by pictures in masks/"
+            )
+        return shown_images(request.sources, known, request.options.channels)
     if len(kinds) > 1:
         parts = ", ".join(f"{len(names)} {kind} ({first_few(names)})" for kind, names in sorted(kinds.items()))
         raise SceneError(
@@ -123,7 +131,7 @@ def _kinds(sources: Mapping[str, ImageSource]) -> dict[str, list[str]]:
     kinds: dict[str, list[str]] = {}
     for name, source in sources.items():
         found = source.header or header(source.path, as_picture=True)
-        gain = f" TIFF of TlinearGain {found.scale.degC_per_count:g}" if found.scale.is_known else ""
+        gain = f"{SCALED} {found.scale.degC_per_count:g}" if found.scale.is_known else ""
         kinds.setdefault(found.depth + gain, []).append(name)
     return kinds
 
@@ -165,7 +173,7 @@ def measured_images(request: ThermalRequest, read: Reader, unit: Unit = CELSIUS)
     if unit is COUNTS:
         return replace(found, raw_count_range=(round(span.min), round(span.max)))
     doubts = [f"temperatures of {span.min:g} to {span.max:g} °C look like kelvin; subtract 273.15, or ignore this"]
-    is_kelvin = given is None and LIKE_KELVIN[0] < span.min and span.max < LIKE_KELVIN[1]
+    is_kelvin = given is None and span.min > LIKE_KELVIN
     return replace(found, temperature=span, doubts=doubts if is_kelvin else [])
 
 

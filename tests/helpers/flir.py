@@ -22,6 +22,8 @@ class FlirCamera:
     """Settings of a camera. By default nothing is corrected: emissivity and window transmission 1, distance 0."""
 
     emissivity: float = 1.0
+    distance: float = 0.0  # m
+    humidity: float = 0.5  # a fraction, or as some cameras write it, percent
     r1: float = 17945.85
     r2: float = 0.0125
     b: float = 1435.0
@@ -40,8 +42,8 @@ class FlirCamera:
 
     def record(self) -> bytes:
         data = bytearray(900)
-        struct.pack_into("<6f", data, 32, self.emissivity, 0.0, 295.15, 293.15, 298.15, 1.0)
-        struct.pack_into("<f", data, 60, 0.5)
+        struct.pack_into("<6f", data, 32, self.emissivity, self.distance, 295.15, 293.15, 298.15, 1.0)
+        struct.pack_into("<f", data, 60, self.humidity)
         struct.pack_into("<3f", data, 88, self.r1, self.b, self.f)
         struct.pack_into("<5f", data, 112, 0.006569, 0.01262, -0.002276, -0.006677, 1.9)
         struct.pack_into("<if", data, 776, self.o, self.r2)
@@ -50,21 +52,21 @@ class FlirCamera:
 
 def write_flir(path: Path, counts: np.ndarray, photo: np.ndarray | None = None, camera: FlirCamera | None = None,
                encoding: str = "png_swapped", mapping: tuple[float, int, int] | None = None,
-               order: str = ">") -> None:  # fmt: skip
+               order: str = ">", photo_as: str = "JPEG") -> None:  # fmt: skip
     """Write a FLIR radiometric JPEG.
 
-    counts: (H, W) uint16. photo: (h, w, 3) uint8, embedded as JPEG. encoding of the counts: `png_swapped` (as most
-    cameras write), `png` or `raw`. mapping: real_to_ir, offset_x, offset_y of the picture-in-picture record.
-    order: of the directory's bytes; Zenmuse XT's is `<`.
+    counts: (H, W) uint16. photo: (h, w, 3) uint8, embedded as `photo_as`, JPEG or PNG; of PNG, Y, Cb and Cr.
+    encoding of the counts: `png_swapped` (as most cameras write), `png` or `raw`. mapping: real_to_ir, offset_x,
+    offset_y of the picture-in-picture record. order: of the directory's bytes; Zenmuse XT's is `<`.
     """
     camera = FlirCamera() if camera is None else camera
     records = [(1, _image_record(_encoded(counts, encoding), counts.shape)), (32, camera.record())]
     if photo is not None:
-        records.append((14, _image_record(_jpeg(photo, quality=95), photo.shape)))
+        records.append((14, _image_record(_picture(photo, photo_as, quality=95), photo.shape)))
     if mapping is not None:
         records.append((42, struct.pack("<f6h", *mapping, 0, counts.shape[1] - 1, 0, counts.shape[0] - 1)))
     shown = np.clip((counts.astype(float) - counts.min()) / max(1, np.ptp(counts)) * 255, 0, 255).astype(np.uint8)
-    path.write_bytes(with_segments(_jpeg(shown), flir_segments(_fff(records, order))))
+    path.write_bytes(with_segments(_picture(shown), flir_segments(_fff(records, order))))
 
 
 def flir_segments(fff: bytes) -> list[bytes]:
@@ -104,7 +106,7 @@ def _encoded(counts: np.ndarray, encoding: str) -> bytes:
     return buffer.getvalue()
 
 
-def _jpeg(image: np.ndarray, quality: int = 75) -> bytes:
+def _picture(image: np.ndarray, kind: str = "JPEG", quality: int = 75) -> bytes:
     buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "JPEG", quality=quality)
+    Image.fromarray(image).save(buffer, kind, quality=quality)
     return buffer.getvalue()

@@ -8,7 +8,7 @@ from PIL import Image
 
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.formats import header, metadata
-from tdgbench.scenes.images import read_image
+from tdgbench.scenes.images import read_image, resize
 
 
 def test_decompression_bombs_are_refused_before_decoding(tmp_path, recwarn):
@@ -77,3 +77,12 @@ def test_modes_of_pixels(tmp_path):
         path = tmp_path / f"c{suffix}"
         Image.new(mode, (6, 4), (9, 255) if mode == "LA" else 0).save(path)
         assert read_image(path).shape == (4, 6, channels)
+
+
+@pytest.mark.parametrize("size", [(7, 5), (9, 10), (4, 1)])
+def test_smaller_images_are_means_of_equal_areas(size):
+    image = np.random.default_rng(0).random((10, 12, 2), dtype=np.float32)
+    width, height = size
+    fine = np.kron(image, np.ones((height, width, 1)))  # whose pixels are parts of one of both grids
+    expected = fine.reshape(height, 10, width, 12, 2).mean(axis=(1, 3))
+    assert np.allclose(resize(image, width, height), expected, atol=1e-6)

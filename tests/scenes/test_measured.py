@@ -109,6 +109,13 @@ def test_masks_that_cannot_be(small_scene, tmp_path):
         load(folder)
 
 
+def test_masks_that_are_not_read_are_told(small_scene, tmp_path):
+    folder = write_rgbt_scenes(small_scene, tmp_path / "Truck")
+    (folder / "masks").mkdir()
+    np.save(folder / "masks" / "view001.npy", np.ones((36, 48)))
+    assert "masks/ holds 1 files that are not read (view001.npy)" in load(folder).notes
+
+
 def test_masks_add_to_what_was_not_measured(small_gray_scene, tmp_path):
     folder = write_thermalmix(
         small_gray_scene, tmp_path / "lion", camera="PINHOLE", change=lambda d, n: np.where(np.arange(48) < 5, 0, d)

@@ -100,6 +100,25 @@ def test_counts_whose_meaning_is_stated_stay_as_they_are(small_gray_scene, tmp_p
     assert np.allclose(scaled.train[0].thermal[..., 0] * 40, (stored.astype(float) - LOWEST) * STEP, atol=1e-4)
 
 
+def test_counts_whose_range_is_stated_are_masked_as_temperatures_are(small_gray_scene, tmp_path):
+    folder = write(small_gray_scene, tmp_path, lambda degC: counts(np.where(FRAME, -20.0, degC)))
+    known = {"min": 14.0, "max": 54.0, "degC_per_count": STEP, "degC_at_zero": 14 - LOWEST * STEP}
+    state(folder, **known)
+    scene = load(folder)
+    assert not scene.views[0].valid[:, :6].any() and any("are masked" in note for note in scene.notes)
+    assert load(folder, fillers=[]).views[0].valid is None
+    assert "clipped" in scene.assumed["range"]
+    state(folder, min=14.0, max=54.0)  # counts of no known scale
+    with pytest.raises(SceneError, match=r"data\.fillers is in °C or raw counts, which these images do not hold"):
+        load(folder, fillers=[-20.0])
+
+
+def test_a_hot_object_in_kelvin_is_doubted(small_gray_scene, tmp_path):
+    folder = write(small_gray_scene, tmp_path, lambda degC: (degC + 273.15 + 200 * (degC > 50)).astype(np.float32))
+    (doubt,) = load(folder).doubts
+    assert "look like kelvin" in doubt
+
+
 def test_a_frame_far_from_all_counts_is_masked(small_gray_scene, tmp_path):
     whole = load(write(small_gray_scene, tmp_path / "whole", counts))
     scene = load(write(small_gray_scene, tmp_path / "scene", lambda d: np.where(FRAME, 0, counts(d)).astype(np.uint16)))
@@ -142,10 +161,12 @@ def test_radiometry_file(tmp_path):
     [
         '{"min": NaN, "max": 3}', '{"min": 1, "max": Infinity}', '{"min": -300, "max": 3}', '{"min": 1, "max": 1e300}',
         '{"min": true, "max": 3}', '{"min": 1, "max": 2, "degC_per_count": NaN}', "null", "[" * 100000,
-        '{"min": 1, "max": 2, "degC_per_count": 0}', '{"min": 1, "max": 2, "degC_at_zero": -Infinity}', "\udcff",
+        '{"min": 1, "max": 2, "unit": "K"}', '{"min": 1, "max": 2, "degC_per_counts": 0.1}',
+        '{"min": 1, "max": 2, "degC_at_zero": 3}', '{"min": 1, "max": 2, "degC_per_count": 0}',
+        '{"min": 1, "max": 2, "degC_per_count": 1, "degC_at_zero": -Infinity}', "\udcff",
         '{"min": 1, "max": 1' + "0" * 5000 + "}",
     ],
-    ids=range(12),
+    ids=range(15),
 )  # fmt: skip
 def test_temperatures_that_cannot_be(tmp_path, content):
     path = tmp_path / "temperature.json"

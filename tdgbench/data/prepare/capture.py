@@ -199,7 +199,7 @@ def _stated(decoded: Decoded, files: ViewFiles, own: CountScale, given: CountSca
         settings = (
             f"emissivity {found['emissivity']:.2f}, distance {found['object_distance']:g} m, reflected "
             f"{found['reflected_apparent_temperature'] - 273.15:.1f} °C, window transmission "
-            f"{found['ir_window_transmission']:.2f}"
+            f"{found['ir_window_transmission']:.2f}, relative humidity {100 * found['relative_humidity']:.0f} %"
         )
     elif own != given:
         settings = f"TLinear, °C = counts × {own.degC_per_count:g} - 273.15"

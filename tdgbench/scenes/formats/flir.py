@@ -26,6 +26,8 @@ JPEG_LS = b"\xff\xd8\xff\xf7"  # SOI and SOF55: raw counts that some cameras com
 MOST_RECORDS = 4096  # of a file; cameras write 2 to 100
 VERSIONS = range(100, 200)  # of the file format, by which ExifTool's FLIR.pm tells the byte order
 NAME = "FLIR radiometric JPEG"
+PNG = b"\x89PNG"  # of raw counts, or of a photo, whose channels are then Y, Cb and Cr by ExifTool's FLIR.pm
+MOST_HUMIDITY = 2.0  # of a fraction; some cameras write percent, which ExifTool's FLIR.pm tells so
 REMEDY = "copy it again from the camera, or leave it out"
 RAW_DATA, PHOTO, CAMERA_INFO, MAPPING = 1, 14, 32, 42  # types of records, by ExifTool's FLIR.pm
 
@@ -71,11 +73,16 @@ def _decode_records(source: Source) -> Decoded:
 
     stream, records, header = _records(source)
     settings = parse_camera_info(stream, records[CAMERA_INFO])
+    if settings["relative_humidity"] > MOST_HUMIDITY:
+        settings["relative_humidity"] /= 100
     counts = _raw_counts(stream, records[RAW_DATA], source.path)
     photo, mapping, lost = None, None, ""
     if PHOTO in records:
         try:
             photo = _as_rgb(parse_embedded_image(stream, records[PHOTO])[2])
+            stream.seek(records[PHOTO][2] + 32)
+            if stream.read(len(PNG)) == PNG:
+                photo = np.asarray(Image.fromarray(photo, "YCbCr").convert("RGB"))
         except Exception as error:  # of flyr and Pillow, of many kinds; the temperatures do not depend on it
             lost = f"its embedded photo cannot be decoded ({type(error).__name__})"
     if MAPPING in records:
@@ -113,7 +120,7 @@ def _raw_counts(stream: BinaryIO, record: Record, path: Path) -> np.ndarray:
         raise SceneError(
             f"{path} holds raw counts as JPEG-LS, which is not decoded here; export it as float TIFF in °C"
         )
-    if payload[:4] == b"\x89PNG":
+    if payload[:4] == PNG:
         with Image.open(io.BytesIO(payload), formats=("PNG",)) as image:
             if image.size != (width, height):
                 raise ValueError(f"raw image of {image.size} px, stated as {(width, height)}")

@@ -148,10 +148,17 @@ def _decode(source: Source) -> Decoded:
     if header.meaning == "shown" and is_inverted:
         values = np.uint8(255) - values
     if nodata is not None:
-        none = float(str(nodata).strip("\0 "))
-        is_data = ~np.isnan(values) if math.isnan(none) else values != values.dtype.type(none)
-        valid = _both(valid, np.asarray(is_data.all(axis=2)))
+        valid = _both(valid, _is_data(values, float(str(nodata).strip("\0 "))).all(axis=2))
     return Decoded(values, header, valid)
+
+
+def _is_data(values: np.ndarray, none: float) -> np.ndarray:
+    """Return whether values are not the one for no data, which may be one that their type does not hold."""
+    if math.isnan(none):
+        return np.asarray(~np.isnan(values))
+    with np.errstate(over="ignore"):
+        rounded = none if values.dtype.kind != "f" else float(values.dtype.type(none))
+    return np.asarray(values.astype(np.float64) != rounded)
 
 
 def _check_values(values: np.ndarray, header: Header, path: Path) -> None:

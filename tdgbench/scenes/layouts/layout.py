@@ -87,10 +87,11 @@ def find_scene(
     shown = by_view(folder, thermal, posed)
     pictures, unpaired = _registered_pairs(folder, rgb, posed, others)
     files = [*(path for path in listed(place) if path.is_file()), *([folder / FILE] if is_there(folder / FILE) else [])]
-    masks, about = find_masks(folder, posed, (shown.paths, pictures), {})
+    masks, about, unread = find_masks(folder, posed, (shown.paths, pictures), {})
     return SceneFiles(
         posed, points, shown.paths, pictures, shown.shipped, read_radiometry(folder / FILE), files=files,
-        notes=[*thermal.notes, *rgb.notes, *notes, *unpaired], masks=masks, assumed={**assumed, **about}, model=place,
+        notes=[*thermal.notes, *rgb.notes, *notes, *unpaired, *unread], masks=masks, assumed={**assumed, **about},
+        model=place,
     )  # fmt: skip
 
 
@@ -212,14 +213,17 @@ def by_view(folder: Path, images: Images, posed: Mapping[str, RegisteredImage]) 
 
 def find_masks(
     folder: Path, posed: Mapping[str, RegisteredImage], images: Iterable[Mapping[str, Path]], stated: Mapping[str, Path]
-) -> tuple[dict[str, Mask], dict[str, str]]:
-    """Return masks by view name, and what is assumed about them. Raises SceneError for two masks of a view.
+) -> tuple[dict[str, Mask], dict[str, str], list[str]]:
+    """Return masks by view name, what is assumed, and notes on files. Raises SceneError for two masks of a view.
 
     images: by view name, beside which masks may lie. stated: masks that a file names, by view name.
     """
     found = [("mask_path: black hides", view, Mask(path)) for view, path in stated.items()]
     elsewhere = {*stated.values()}
-    paths = {one: path for one, path in find_images(folder / MASKS).paths.items() if path not in elsewhere}
+    inside = find_images(folder / MASKS).paths
+    files = _files_below(folder / MASKS, SUFFIXES, set()) if is_there(folder / MASKS) else ()
+    unread = [path.name for path in files if path not in inside.values()]
+    paths = {one: path for one, path in inside.items() if path not in elsewhere}
     for is_double in (False, True):  # 1.png, and 1.png.png of 1.png
         part = {key(one): path for one, path in paths.items() if (key(one) != one) == is_double}
         of_views = by_view(folder, Images(part, {}, []), posed).paths
@@ -234,7 +238,8 @@ def find_masks(
         regular_file(mask.path)
     counts = Counter(source for source, _, _ in found)
     said = "; ".join(f"{source} ({count} files)" for source, count in counts.items())
-    return masks, {MASKS: said} if said else {}
+    lost = [f"{MASKS}/ holds {len(unread)} files that are not read ({first_few(unread)})"] if unread else []
+    return masks, {MASKS: said} if said else {}, lost
 
 
 def _keys(posed: Mapping[str, RegisteredImage]) -> dict[str, str]:

@@ -121,16 +121,20 @@ def _read_thermal(request: ThermalRequest, unwarped: Mapping[str, Path]) -> Ther
             f"{first_few(alone)}"
         )
     assert request.radiometry is not None
-    read = partial(_read_warped, radiometry=request.radiometry, unwarped=unwarped, mask=mask)
+    before = {request.sources[name].path: path for name, path in unwarped.items() if name in request.sources}
+    read = partial(_read_warped, radiometry=request.radiometry, unwarped=before, mask=mask)
     images = measured_images(request, read)
     return replace(images, notes=[*notes, *images.notes], assumed={**images.assumed, "values": how})
 
 
-def _read_warped(path: Path, radiometry: Radiometry, unwarped: Mapping[str, Path], mask: bool) -> Temperatures:
-    """Read temperatures from an array, or from a warped gray image, whose fillers are masked or else raised."""
+def _read_warped(path: Path, radiometry: Radiometry, unwarped: Mapping[Path, Path], mask: bool) -> Temperatures:
+    """Read temperatures from an array, or from a warped gray image, whose fillers are masked or else raised.
+
+    unwarped: images before the warp by that of the warped one.
+    """
     if not _is_picture(path):
         return read_temperatures(path, radiometry.scale)
-    image, before = _gray(path, radiometry), unwarped.get(path.stem)
+    image, before = _gray(path, radiometry), unwarped.get(path)
     block = BLOCK if path.suffix.lower() in JPEG else 1
     filler = None
     if before is not None:

@@ -47,7 +47,8 @@ def _find(folder: Path) -> SceneFiles:
     files = [path, *(folder / name for name in (BOUNDS_FILE, FILE) if is_there(folder / name))]
     if bounds is None:
         notes.append(f"there is no {BOUNDS_FILE}, so no temperature of image values is known")
-    masks, about = find_masks(folder, content.posed, (thermal, rgb), stated)
+    masks, about, unread = find_masks(folder, content.posed, (thermal, rgb), stated)
+    notes += unread
     assumed = {**content.assumed, **about}
     ply, points = folder / (content.points or POINTS), None
     if is_there(ply):

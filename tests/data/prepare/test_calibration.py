@@ -61,6 +61,16 @@ def test_one_lens_in_every_format(tmp_path, name, text):
     assert start_camera(SIZE, "SIMPLE_RADIAL", None, ()) is None
 
 
+@pytest.mark.parametrize("line", ["distortion_model: equidistant", "fisheye_model: 1"])
+def test_a_fisheye_is_one(tmp_path, line):
+    text = YAML.replace(",\n       0.008, 0.01 ]", ", 0.008 ]") + f"{line}\n"
+    (tmp_path / "cv.yml").write_text(text)
+    (lens,) = read_calibration(tmp_path / "cv.yml")
+    assert lens.model == "OPENCV_FISHEYE" and lens.params == (741.5, 741.5, 330, 264, -0.02, 0.02, 0.003, 0.008)
+    (tmp_path / "cv.yml").write_text(YAML + "distortion_model: plumb_bob\n")
+    assert read_calibration(tmp_path / "cv.yml")[0].model == "FULL_OPENCV"
+
+
 @pytest.mark.parametrize(
     ("name", "text", "what"),
     [
@@ -68,6 +78,7 @@ def test_one_lens_in_every_format(tmp_path, name, text):
         ("cv.yml", YAML.replace("[ 7.415e+02, 0.", "[ 7.415e+02, 3."), "cv.yml .*its matrix is skewed"),
         ("cv.yml", YAML.replace("e+02, 0.", "e+02"), "cv.yml must hold OpenCV's .*9 numbers"),
         ("cv.yml", YAML.replace("7.415e+02", "-7.415e+02"), "cv.yml: the calibration has the focal length -741.5"),
+        ("cv.yml", YAML + "distortion_model: ds\n", "cv.yml .*its model ds is none of plumb_bob"),
         ("cameras.txt", "1 OPENCV 640 512 700\n", "cameras.txt is damaged: line 1 is no camera"),
         ("cameras.txt", "# nothing\n", "cameras.txt holds no calibration"),
         ("cameras.xml", "<document/>", "cameras.xml holds no calibration; give one of"),

@@ -52,6 +52,20 @@ def test_photo_and_its_mapping(tmp_path):
     assert without.photo is None and without.mapping is None
 
 
+def test_a_png_holds_luma_and_chroma(tmp_path):
+    photo = np.full((60, 80, 3), (200, 100, 50), np.uint8)
+    stored = np.asarray(Image.fromarray(photo).convert("YCbCr"))
+    write_flir(tmp_path / "t.jpg", COUNTS, stored, photo_as="PNG")
+    assert np.abs(decode(tmp_path / "t.jpg").photo.astype(int) - photo).max() <= 2
+
+
+def test_humidity_may_be_percent(tmp_path):
+    for name, humidity in (("fraction", 0.5), ("percent", 50.0)):
+        write_flir(tmp_path / f"{name}.jpg", COUNTS, camera=FlirCamera(distance=20.0, humidity=humidity))
+    fraction, percent = (read_celsius(tmp_path / f"{name}.jpg") for name in ("fraction", "percent"))
+    assert np.array_equal(fraction, percent) and not np.allclose(fraction, CELSIUS, atol=0.1)
+
+
 def test_impossible_temperatures_are_nan(tmp_path):
     counts = COUNTS.copy()
     counts[3, 4] = 100  # below -O: no temperature

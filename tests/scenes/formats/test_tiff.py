@@ -113,6 +113,13 @@ def test_pixels_without_data(tmp_path, nodata, dtype):
     assert np.array_equal(~decode(tmp_path / "t.tif").valid, X < 5)
 
 
+@pytest.mark.parametrize(("nodata", "dtype"), [("-9999", np.uint16), ("3.4e38", np.uint16), ("-1.797e308", np.float32)])
+def test_a_value_for_no_data_that_no_pixel_can_have(tmp_path, nodata, dtype):
+    values = (CELSIUS if dtype == np.float32 else KELVIN).copy()
+    tifffile.imwrite(tmp_path / "t.tif", values, extratags=[(42113, 2, 0, nodata, True)])
+    assert decode(tmp_path / "t.tif").valid.all()
+
+
 @pytest.mark.parametrize(
     ("written", "message"),
     [

@@ -1,5 +1,7 @@
 import io
 import shutil
+import unicodedata
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -167,6 +169,21 @@ def test_filler_that_is_kept_is_raised_to_the_minimum(small_gray_scene, tmp_path
     for view in load(folder, fillers=[]).views:
         lowest = np.asarray(Image.open(folder / "thermal" / f"{view.name}.jpg")).min() / 255
         assert view.valid is None and lowest > 0.02 and np.allclose(view.thermal[:, :4], lowest, atol=1e-6)
+
+
+def test_decomposed_names_have_their_image_before_the_warp(small_gray_scene, tmp_path):
+    """As macOS writes them: the names of views are composed."""
+    scene = replace(
+        small_gray_scene,
+        **{part: [replace(view, name=f"H\u00f6he{view.name}") for view in getattr(small_gray_scene, part)]
+           for part in ("train", "test")},
+    )  # fmt: skip
+    folder = write_downloaded_thermalmix(scene, tmp_path / "lion", frame=5)
+    masked = [view.valid for view in load(folder).views]
+    for path in [*(folder / "warped_thermal").iterdir(), *(folder / "thermal").iterdir()]:
+        path.rename(path.with_name(unicodedata.normalize("NFD", path.name)))
+    for view, valid in zip(load(folder).views, masked, strict=True):
+        assert np.array_equal(view.valid, valid)
 
 
 def test_the_range_is_published_for_scenes_of_these_names(small_gray_scene, tmp_path):
