@@ -148,7 +148,8 @@ def _decode(source: Source) -> Decoded:
     if header.meaning == "shown" and is_inverted:
         values = np.uint8(255) - values
     if nodata is not None:
-        valid = _both(valid, _is_data(values, float(str(nodata).strip("\0 "))).all(axis=2))
+        is_data = _is_data(values, float(str(nodata).strip("\0 ")))
+        valid = _both(valid, np.asarray(is_data.all(axis=2)))
     return Decoded(values, header, valid)
 
 
