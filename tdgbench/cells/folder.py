@@ -235,7 +235,8 @@ class CellFolder:
 
     def model(self, modality: str) -> Gaussians:
         """Return the Gaussians of a modality. Raises ValueError or OSError for a file that holds anything else."""
-        return load_ply(self.folder / files_of(modality).model, self.folder)
+        channels = self.record.channels if modality == THERMAL else 3
+        return load_ply(self.folder / files_of(modality).model, self.folder, channels or 1)
 
     def model_files(self) -> list[str]:
         """Return the names of files of Gaussians, whether or not the record knows them."""

@@ -80,7 +80,7 @@ class StoredMethod:
         trainer = _trainer_of(record, cameras)
         trainer.at_stage(len(trainer.stages) - 1)
         for name, model in trainer.gaussians.items():
-            gaussians = load_ply(folder / files_of(name).model, inside=folder)
+            gaussians = load_ply(folder / files_of(name).model, folder, model.state.channels_of("sh"))
             model.restore(gaussians, background_of(record, name), blending_of(record))
         try:
             states: dict[str, Any] = load_tensors(folder / PARTS_FILE, inside=folder)

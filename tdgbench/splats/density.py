@@ -52,6 +52,14 @@ class DensityRules:
     gradient: GradientKind = "signed"  # to which `grad_threshold` applies
     filled_at: NonNegativeInt | None = None  # iteration by which there are `max_gaussians`, whatever the threshold
 
+    def __post_init__(self) -> None:
+        """Raise ValueError for pruning by screen radius that never begins."""
+        if self.screen_radius_prune and self.opacity_reset_every >= self.stop:
+            raise ValueError(
+                "budget.density.screen_radius_prune begins after the first opacity reset, but density control stops at "
+                f"{self.stop} and opacity_reset_every is {self.opacity_reset_every}"
+            )
+
     @property
     def uses_absolute(self) -> bool:
         """Whether growth depends on absolute gradients."""
@@ -253,10 +261,11 @@ class DensityControl:
         """Return which Gaussians (N,) a round clones or splits. remove: (N,) bool, which it prunes.
 
         Where their number is given, the strongest grow, also below the threshold: as many as are missing, in equal
-        parts in the rounds that are left. Each adds one Gaussian, if it is split in two.
+        parts in the rounds that are left. Each adds one Gaussian, or as many as a split adds.
         """
         if self.rules.filled_at is None:
-            return strongest(decision.grow, decision.strength, self._quota(len(remove), iteration))
+            grow = decision.grow & ~decision.at_camera
+            return strongest(grow, decision.strength, self._quota(len(remove), iteration))
         return strongest(~remove, decision.strength, self._quota(int((~remove).sum()), iteration))
 
     def _quota(self, count: int, iteration: int) -> int:
@@ -264,11 +273,11 @@ class DensityControl:
         rules = self.rules
         if rules.max_gaussians is None:
             return 2 * count  # no more can be added
-        missing = rules.max_gaussians - count
+        missing, each = rules.max_gaussians - count, max(1, rules.split_into - 1)
         if rules.filled_at is None:
-            return missing
+            return missing // each
         rounds = sum(self.is_round(later) for later in range(iteration, rules.filled_at + 1))
-        return math.ceil(missing / max(rounds, 1))
+        return min(math.ceil(missing / each / max(rounds, 1)), missing // each)
 
     def _is_transparent(self, gaussians: Gaussians) -> Tensor:
         """Return which Gaussians (n,) a round prunes for their opacity."""

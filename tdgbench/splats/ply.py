@@ -47,7 +47,8 @@ def save_ply(gaussians: Gaussians, path: Path) -> None:
     (1, 1, 1)
     """
     rest = gaussians.sh.shape[1] - 1
-    extra = [_column(name, at) for name, field in gaussians.extra_fields.items() for at in np.ndindex(*field.shape[1:])]
+    extra = [_column(name, at) for name, field in gaussians.extra_fields.items()
+             for at in np.ndindex(*(field.shape[1:] or (1,)))]  # fmt: skip
     kind = np.dtype([(name, "<f4") for name in [*_columns(rest), *extra]])
     shape_only = np.broadcast_to(np.zeros(1, kind), len(gaussians))  # for the header; stores one row
     header = PlyData([PlyElement.describe(shape_only, "vertex")], byte_order="<").header
@@ -63,7 +64,7 @@ def _rows(g: Gaussians) -> torch.Tensor:
     sh = g.sh.expand(-1, -1, 3) if g.channels == 1 else g.sh
     harmonics = sh[:, 1:].transpose(1, 2).flatten(1)  # channel by channel, as in 3DGS
     parts = [g.means, torch.zeros_like(g.means), sh[:, 0], harmonics, g.opacity_logits[:, None], g.log_scales, g.quats]
-    return torch.cat([*parts, *(field.flatten(1) for field in g.extra_fields.values())], dim=1).float()
+    return torch.cat([*parts, *(field.reshape(len(field), -1) for field in g.extra_fields.values())], dim=1).float()
 
 
 def _column(name: str, at: tuple[int, ...]) -> str:
@@ -84,15 +85,16 @@ def _extra_shapes(names: list[str]) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-def load_ply(path: Path, inside: Path | None = None) -> Gaussians:
+def load_ply(path: Path, inside: Path | None = None, channels: int = 1) -> Gaussians:
     """Read a 3DGS model, piece by piece: a binary file is never in memory as a whole.
 
-    inside: folder that it must lie in. Raises ValueError with the file's name if it is not one: not a regular file,
-    elsewhere, without a column, shorter than its header says, or with numbers that are not finite.
+    inside: folder that it must lie in. channels: at least; with 1, a model that is gray throughout has one.
+    Raises ValueError with the file's name if it is not one: not a regular file, elsewhere, without a column, shorter
+    than its header says, or with numbers that are not finite.
     """
     try:
         with opened(path, inside=inside) as file:
-            return _read(file, read_ply(file, only="vertex")["vertex"])
+            return _read(file, read_ply(file, only="vertex")["vertex"], channels)
     except Exception as error:
         raise ValueError(f"{path} is not a 3DGS model: {error}") from error
 
@@ -120,12 +122,12 @@ def _layout(names: list[str]) -> dict[str, tuple[list[str], tuple[int, ...]]]:
     }
 
 
-def _read(file: BinaryIO, vertex: PlyElement) -> Gaussians:
+def _read(file: BinaryIO, vertex: PlyElement, channels: int) -> Gaussians:
     """Read the rows of a model. Raises ValueError as `load_ply`."""
     layout = _layout([p.name for p in vertex.properties])
     read = {name: torch.empty(len(vertex), *shape) for name, (_, shape) in layout.items()}
     if len(vertex):
-        read["sh"] = torch.empty(len(vertex), len(layout["sh"][0]) // 3, 1)  # gray until a row has colour
+        read["sh"] = torch.empty(len(vertex), len(layout["sh"][0]) // 3, channels)  # if 1, until a row has colour
     for start, rows in _pieces(file, vertex.data):
         here = slice(start, start + len(rows))
         for name, (columns, shape) in layout.items():

@@ -36,8 +36,8 @@ class Part:
     def set_slowdown(self, factor: float) -> None:
         """Multiply all learning rates by a factor, at most 1, from now on; it replaces an earlier factor."""
 
-    def stop_growth(self, iteration: int) -> None:
-        """Add and remove no Gaussians from an iteration on."""
+    def stop_growth(self, iteration: int | None) -> None:
+        """Add and remove no Gaussians from an iteration on; None: a stage begins, by its own schedule."""
 
     def is_filling(self, iteration: int) -> bool:
         """Return whether a given number of Gaussians is still to be reached."""

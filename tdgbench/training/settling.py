@@ -98,8 +98,9 @@ class Settling(Stopping):
 
         self.rule, self.iterations, self.curriculum = rule, iterations, curriculum
         self.parts, self.psnr_of = parts, psnr_of
-        for part in parts.values():  # the tail of an earlier stage slowed those that it had, too
+        for part in parts.values():  # the tail of an earlier stage slowed those that it had, and ended their growth
             part.set_slowdown(1.0)
+            part.stop_growth(None)
         self._scale = curriculum.scale
         self._checks: list[tuple[int, float, int]] = []  # at this resolution: iteration, mean PSNR, Gaussians
         self._best_scale, self._best_psnr = 0, 0.0  # of the resolutions before, at its end; 0: none

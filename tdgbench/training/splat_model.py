@@ -66,6 +66,7 @@ class SplatModel(Part):
         unit = options.position_unit or extent
         self.optimizer = Adam(self.state, budget.rates, unit, options.learning_rates)
         self.density = budget.density_rules.control(extent, self.state, budget.iterations)
+        self._density_rules = self.density.rules
         self.skips = skips or Skips()
         self.work = Work()
         self.decide_growth, self.background = options.decide_growth, options.background
@@ -176,9 +177,9 @@ class SplatModel(Part):
     def has_recovered(self, iteration: int) -> bool:
         return self.density.rules.has_recovered(iteration, self.budget.iterations)
 
-    def stop_growth(self, iteration: int) -> None:
-        rules = self.density.rules
-        self.density.rules = replace(rules, stop=min(rules.stop, iteration))
+    def stop_growth(self, iteration: int | None) -> None:
+        rules = self._density_rules
+        self.density.rules = rules if iteration is None else replace(rules, stop=min(rules.stop, iteration))
 
     def is_filling(self, iteration: int) -> bool:
         filled_at = self.density.rules.filled_at

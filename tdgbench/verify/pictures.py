@@ -91,6 +91,9 @@ def _render_problems(
         return
     if render_view is None:
         return
+    if modality == THERMAL and stored.shape[2] != record.channels:
+        yield f"{RECORD_FILE}: channels is {record.channels}, {path} has {stored.shape[2]}"
+        return
     render = render_view(view)
     again = render.image.numpy()
     if modality == THERMAL:
@@ -100,9 +103,6 @@ def _render_problems(
         return
     if modality == THERMAL:
         depths[view] = render.expected_depth
-        if stored.shape[2] != record.channels:
-            yield f"{RECORD_FILE}: channels is {record.channels}, {path} has {stored.shape[2]}"
-            return
     problem = difference_of(stored, again)
     if problem:
         yield f"{path} is not what {files.model} gives: {problem}"

@@ -20,6 +20,7 @@ from tdgbench.cells.read_files import MOST_PIXELS
 from tdgbench.cells.record import Record
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.datasets import outline_of
+from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.scenes.synthetic import SyntheticDataset
 from tdgbench.text import first_few
 from tdgbench.verify.problems import NotCheckedError
@@ -73,7 +74,8 @@ class TrueData:
                 if view.camera.width * view.camera.height > MOST_PIXELS:
                     raise ValueError(f"{view.name} would have {view.camera.width}×{view.camera.height} px")
             scene = outline.read()
-            span = scene.temperature if scene.channels == 1 else None
+            is_gray = not (scene.in_palette or in_pseudo_colour(scene.test))
+            span = scene.temperature if is_gray else None
             images = {view.name: truth_of(view) for view in scene.test}
             self._read[key] = Truth(images, None if span is None else [span.min, span.max])
         return self._read[key]

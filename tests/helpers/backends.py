@@ -72,6 +72,31 @@ class NotFinite(StandIn):
         return replace(view, image=view.image + spoiled)
 
 
+class NoRadii(StandIn):
+    """Its density control would see nothing."""
+
+    def render(self, gaussians, camera, options):
+        view = super().render(gaussians, camera, options)
+        return replace(view, projection=view.projection._replace(radii=torch.zeros_like(view.projection.radii)))
+
+
+class NoBackground(StandIn):
+    """Renders over black."""
+
+    def render(self, gaussians, camera, options):
+        return super().render(gaussians, camera, options._replace(background=None))
+
+
+class NoAbsgrad(StandIn):
+    """Its absolute gradients are 0."""
+
+    def render(self, gaussians, camera, options):
+        view = super().render(gaussians, camera, options)
+        absgrad = view.projection.absgrad
+        wrong = None if absgrad is None else torch.zeros_like(absgrad)
+        return replace(view, projection=view.projection._replace(absgrad=wrong))
+
+
 class Raises(StandIn):
     """Raises an error; `error` is that of a GPU without free memory."""
 

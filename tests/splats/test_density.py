@@ -117,6 +117,25 @@ def test_cap_keeps_the_hottest(rules):
     assert change.cloned == 1 and rows_of(result, [last]) == [2]
 
 
+def test_splits_into_many_stay_below_the_cap(rules):
+    density = control(dataclasses.replace(rules, max_gaussians=6, split_into=3), hot=(1, 2))
+    result, change = update(density, 600)
+    assert (change.cloned, change.split) == (0, 0) and len(result.means) == 4  # a split would add two to five
+
+
+def test_pruning_by_screen_radius_that_never_begins_is_refused(rules):
+    with pytest.raises(ValueError, match="screen_radius_prune begins after the first opacity reset"):
+        dataclasses.replace(rules, screen_radius_prune=True, opacity_reset_every=15_000)
+
+
+def test_what_holds_a_camera_does_not_grow(rules):
+    density = control(rules)
+    optimizer, generator = Adam(density.state, RATES, EXTENT), torch.Generator().manual_seed(0)
+    at_camera = torch.tensor([True, False, False, False, False])
+    density.update(optimizer, 600, generator, GrowthDecision(torch.ones(5), at_camera, at_camera))
+    assert sorted(density.state.values[:, 0].tolist()) == [3, 6, 12]
+
+
 def test_what_holds_a_camera_is_pruned_at_once(rules):
     density = control(rules)
     none = torch.zeros(5)

@@ -7,6 +7,7 @@ import torch
 
 from tdgbench.splats import Gaussians
 from tdgbench.splats.cpu.adam import FLUSH_EVERY
+from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
 from tests.helpers.deferred import step_gradients
@@ -58,3 +59,28 @@ def test_rates_and_fields_must_fit():
         Adam(state, RATES, 2.0, {"sh_rgb": "sh"})
     with pytest.raises(ValueError, match="there are rates for"):
         Adam(state, RATES, 2.0, {**OWN, "sh_depth": "sh"})
+
+
+def test_a_field_that_an_iteration_lacks_keeps_its_momentum():
+    """Two colour sets, of which steps have one or the other: as float64 Adam with gradients of 0."""
+    sets = two_colour_sets().extra_fields["sh_rgb"]
+    state = TrainingState(replace(model(1, 1, count=40), extra_fields={"sh_rgb": sets}))
+    start = state.split(state.values.clone())
+    optimizer = Adam(state, RATES, 2.0, {"sh_rgb": 0.01})
+    peer_value = start.extra_fields["sh_rgb"].flatten(1).double().requires_grad_()
+    peer = torch.optim.Adam([peer_value], lr=0.01, betas=(0.9, 0.999), eps=1e-15)
+    few = state.columns_of("sh").stop
+    for step in range(1, 2 * FLUSH_EVERY):
+        index, rows, _ = step_gradients(state, step, 1.0).rows()
+        dense = torch.zeros(len(state), state.values.shape[1])
+        dense[index] = rows
+        if step % 3 == 0:
+            dense[:, few:] = 0
+        peer_value.grad = state.split(dense).extra_fields["sh_rgb"].flatten(1).double()
+        peer.step()
+        shown = dense if step % 3 else dense[:, :few].contiguous()
+        radii = torch.ones(len(state), dtype=torch.int32)
+        optimizer.step(Gradients.dense(shown, torch.zeros(len(state), 2), radii), step)
+    optimizer.flush()
+    found = state.split(state.values).extra_fields["sh_rgb"].flatten(1)
+    assert (found.double() - peer_value.detach()).abs().max() < 1e-4

@@ -87,6 +87,13 @@ def test_gray_is_three_equal_channels(tmp_path):
     assert np.array_equal(vertex["f_dc_0"], vertex["f_dc_2"]) and np.array_equal(vertex["f_rest_0"], vertex["f_rest_3"])
 
 
+def test_a_gray_model_has_as_many_channels_as_are_asked_for(tmp_path):
+    given = model(1, 1)
+    save_ply(given, tmp_path / "model.ply")
+    assert torch.equal(load_ply(tmp_path / "model.ply").sh, given.sh)
+    assert torch.equal(load_ply(tmp_path / "model.ply", channels=3).sh, given.sh.repeat(1, 1, 3))
+
+
 def test_empty_model(tmp_path):
     save_ply(model(3, 1, count=0), tmp_path / "model.ply")
     assert len(load_ply(tmp_path / "model.ply")) == 0
@@ -149,7 +156,7 @@ def test_a_degree_that_no_render_has_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["emissivity", "emissivity2", "e2_e"])
-@pytest.mark.parametrize("shape", [(1,), (2,), (2, 3)])
+@pytest.mark.parametrize("shape", [(), (1,), (2,), (2, 3)])
 def test_further_fields_are_read_again(tmp_path, name, shape):
     given = model(1, 0)
     field = torch.rand(len(given), *shape)

@@ -8,7 +8,10 @@ import pytest
 import torch
 
 from tdgbench.training.checkpoint import Checkpoint
+from tdgbench.training.images import THERMAL
 from tdgbench.training.loop import TrainingLog, train
+from tdgbench.training.losses import photometric
+from tdgbench.training.method import Method, Stage, Step
 from tdgbench.training.trainer import Trainer
 from tests.helpers.training import KilledError, ready_to_train, train_killed
 from tests.helpers.training import digest_of_all as digest
@@ -57,6 +60,45 @@ def test_a_killed_training_ends_with_the_same_bytes(small_gray_scene, tmp_path, 
     ended = Checkpoint(tmp_path / "a.pt", {"key": "k"}, 0.0).resume(trainer)
     assert timeless(train(trainer, log=ended)) == timeless(calm)
     assert digest(trainer) == wanted
+
+
+class TwoStages(Method):
+    """One model that two stages train."""
+
+    def stages(self):
+        return [Stage("first", self._set_up, self._step, 0.5), Stage("second", self._again, self._step, 0.5)]
+
+    def _set_up(self, context):
+        self.model, self.views = context.gaussians(), context.views()
+
+    def _again(self, context):
+        context.add_part("thermal", self.model)
+        self.views = context.views()
+
+    def _step(self, iteration):
+        view = self.views.next()
+        render = self.model.render(view.camera)
+        target, valid = THERMAL.tensors_of(view, render.image.device)
+        loss = photometric(render.image, target, 0.2, valid)
+        return Step(loss, {"thermal": loss}, render, target, valid)
+
+
+def test_a_model_that_a_second_stage_trains_grows_again(small_gray_scene, tmp_path):
+    def ready():
+        return ready_to_train(small_gray_scene, "3dgs", 100, *LEAN, "budget.iterations=100", method=TwoStages())
+
+    whole, seen = ready(), []
+    train(whole, after_iteration=lambda log: seen.append((whole.stage_number, log.iterations, model_stop(whole))))
+    second = [(iteration, stop) for stage, iteration, stop in seen if stage == 1]
+    (begun, first_stop), ended_at = second[0], max(stop for _, stop in second)
+    assert first_stop == ended_at > min(stop for stage, _, stop in seen if stage == 0)  # not that of the first stage
+    resumed, _ = train_killed(ready, tmp_path / "a.pt", [begun + 3])
+    assert digest(resumed) == digest(whole)
+
+
+def model_stop(trainer: Trainer) -> int:
+    """The iteration at which density control of the one model stops."""
+    return trainer.method.model.density.rules.stop
 
 
 def test_an_ended_plateau_stays_ended(small_gray_scene, tmp_path):

@@ -34,7 +34,7 @@ class Watched(Part):
         self.rate = factor
 
     def stop_growth(self, iteration):
-        self.stopped.append(iteration)
+        self.stopped = [] if iteration is None else [*self.stopped, iteration]
 
 
 class Scripted:

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from tdgbench.cells.key import cell_key
-from tdgbench.cells.record import read_record
+from tdgbench.cells.record import read_all, read_record
 from tdgbench.verify import main, verify
 from tdgbench.verify.record_problems import field_problems
+from tests.helpers.cells import small_cells
 
 CELL = Path("cells/tdg/synthetic/turntable/colmap/seed0")
 
@@ -26,6 +27,14 @@ def spoiled(small_results, tmp_path):
 def test_sound_results(small_results, capsys):
     assert verify(small_results)[:-2] == (4, 3, [], 3, (), (), ())
     assert main([str(small_results)]) == 0 and "4 cells, 3 of them finished, 0 problems" in capsys.readouterr().out
+
+
+def test_gray_scenes_in_three_channels_are_sound(tmp_path, data_root):
+    """Their models may be gray throughout; they have temperatures."""
+    experiment = small_cells(tmp_path, data_root, ("scene=turntable", "method=3dgs", "skip.gray=false"))
+    (record,) = read_all(experiment)
+    assert record.channels == 3 and record.temperature_range == [14.0, 50.0]
+    assert verify(experiment).problems == []
 
 
 def test_equal_data_under_two_names_are_said(small_results, tmp_path, capsys):

@@ -83,8 +83,9 @@ def scenes() -> dict[str, Cloud]:
     """Return the four scenes, by what they are like.
 
     Thermal values as most trainings hold them; more Gaussians in more tiles, so that sums over tiles have an order to
-    lose; Gaussians behind and beside the camera, below the threshold of alpha, near its cap, thin and large; walls
-    behind which no light is left: a backward pass that takes transmittance as 1 − alpha is off by 8e-5 there.
+    lose, over a background, with absolute gradients; Gaussians behind and beside the camera, below the threshold of
+    alpha, near its cap, thin and large; walls behind which no light is left: a backward pass that takes transmittance
+    as 1 − alpha is off by 8e-5 there.
     """
     extremes = cloud(100, seed=3, width=50, height=40, degree=1, channels=3)
     extremes.means[:15, 2] *= -1
@@ -95,9 +96,11 @@ def scenes() -> dict[str, Cloud]:
     extremes.scales[75:80] = 3.0
     walls = cloud(300, seed=5, width=60, height=44, degree=1)
     walls.opacities.clamp_min_(0.95)
+    colours = cloud(200, seed=2, width=72, height=56, channels=3)
+    colours.background, colours.absgrad = torch.tensor([0.2, 0.9, 0.5]), True
     return {
         "gray, harmonics of degree 3": cloud(100, seed=1, width=53, height=37, degree=3),
-        "colours, many tiles": cloud(200, seed=2, width=72, height=56, channels=3),
+        "colours, many tiles": colours,
         "hidden, faint and opaque": extremes,
         "opaque walls": walls,
     }
@@ -107,9 +110,13 @@ def _compare(name: str, scene: Cloud, backend: str, worst: dict[str, float]) -> 
     """Render a scene several times and raise the `worst` errors. Returns why the backend is refused, or nothing."""
     want = expected(scene, backend)
     first: Rendered | None = None
+    compared = (*COMPARED, "absgrad") if scene.absgrad else COMPARED
     for _ in range(REPETITIONS):
         got = render(scene, backend, want.weights)
-        errors = want.errors(got, COMPARED)
+        errors = want.errors(got, compared)
+        hidden = int(((got.radii <= 0) & (want.rendered.gradients["means2d"] != 0).any(dim=1)).sum())
+        if hidden:  # density control would not see them
+            return f"radii of the scene '{name}' are 0 of {hidden} Gaussians that it shows"
         limits = {"image": (errors.image, IMAGE_TOLERANCE), "gradients": (errors.gradients, GRADIENT_TOLERANCE)}
         for what, (error, limit) in limits.items():
             worst[what] = error if math.isnan(error) else max(worst[what], error)

@@ -42,13 +42,16 @@ class Cloud:
     height: int
     degree: int | None = None
     near_plane: float = NEAR_PLANE
+    background: Tensor | None = None  # (D,)
+    absgrad: bool = False  # whether absolute gradients of image means are compared, too
 
 
 class Rendered(NamedTuple):
     """What a backend computes of a cloud; float64, on the CPU."""
 
     image: Tensor  # (H, W, D + 2): colours, accumulated depth, alpha
-    gradients: dict[str, Tensor]  # of a weighted sum of `image`, by the names in NAMES and `means2d` (N, 2)
+    gradients: dict[str, Tensor]  # of a weighted sum of `image`, by the names in NAMES, `means2d`, `absgrad` (N, 2)
+    radii: Tensor  # (N,) px
 
 
 class BackendErrors(NamedTuple):
@@ -116,7 +119,8 @@ def render(scene: Cloud, backend: str, weights: Tensor | None = None, blending: 
     viewmats, Ks = (t.to(**kind)[None] for t in (scene.viewmat, scene.K))
     renders, alphas, meta = rasterization(
         means, quats, scales, opacities, colors, viewmats, Ks, scene.width, scene.height, sh_degree=scene.degree,
-        render_mode="RGB+D", near_plane=scene.near_plane, backend=backend,
+        render_mode="RGB+D", near_plane=scene.near_plane, backend=backend, absgrad=scene.absgrad,
+        backgrounds=None if scene.background is None else scene.background.to(**kind)[None],
         blending=blending if own.constants() is None else AS_3DGS,
     )  # fmt: skip
     image = torch.cat([renders[0], alphas[0]], dim=-1)
@@ -124,7 +128,9 @@ def render(scene: Cloud, backend: str, weights: Tensor | None = None, blending: 
         (image * weights.to(image)).sum().backward()
     tensors = dict(zip((*NAMES, "means2d"), (*leaves, meta["means2d"][0]), strict=True))
     gradients = {n: (torch.zeros_like(t) if t.grad is None else t.grad).double().cpu() for n, t in tensors.items()}
-    return Rendered(image.detach().double().cpu(), gradients)
+    if scene.absgrad:
+        gradients["absgrad"] = meta["absgrad"][0].double().cpu()
+    return Rendered(image.detach().double().cpu(), gradients, meta["radii"][0].cpu())
 
 
 def expected(scene: Cloud, backend: str, seed: int = 0) -> Expected:

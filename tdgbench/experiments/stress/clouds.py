@@ -199,7 +199,8 @@ def _million(backend: str) -> str:
     got = render(many, backend, want.weights)
     hidden = max(float(gradient[VISIBLE:].abs().max()) for gradient in got.gradients.values())
     require(hidden == 0, f"Gaussians out of view have gradients of up to {hidden:g}")
-    of_visible = Rendered(got.image, {name: gradient[:VISIBLE] for name, gradient in got.gradients.items()})
+    gradients = {name: gradient[:VISIBLE] for name, gradient in got.gradients.items()}
+    of_visible = Rendered(got.image, gradients, got.radii[:VISIBLE])
     return require_close(want.errors(of_visible))
 
 

@@ -37,7 +37,10 @@ class WarpBackend(Backend):
         from tdgbench.splats.warp.arrays import view_of
         from tdgbench.splats.warp.passes import Request, WarpRasterize
 
-        means, quats, scales, opacities, colors, sh_degree = gaussians
+        *tensors, sh_degree = gaussians
+        means, quats, scales, opacities, colors = (
+            tensor.contiguous() if tensor.dim() > 1 and tensor.stride(-1) != 1 else tensor for tensor in tensors
+        )
         if not options.blending.min_alpha > 0:
             raise ValueError("backend warp needs a min_alpha above 0, which bounds each Gaussian")
         if colors.dim() == 2:

@@ -143,7 +143,7 @@ class DeferredSteps(RowSteps):
     ) -> BadColumns:
         state, (rates, bias1, bias2) = self.state, factors
         columns = max(LEAST_COLUMNS, min(gradients.columns, state.values.shape[1]))
-        self._used = max(self._used, columns)
+        columns = self._used = max(self._used, columns)  # the momentum of columns that this view lacks moves on
         roots = np.sqrt(bias2)
         step_sizes, per_bias2 = self._update_columns
         np.divide(rates, bias1, out=step_sizes, casting="same_kind")

@@ -15,7 +15,19 @@ from tdgbench.bench.backend_check.check import BackendCheck, check, check_in_new
 from tdgbench.bench.backend_check.compare import GRADIENT_TOLERANCE, IMAGE_TOLERANCE, cloud, expected, render
 from tdgbench.splats.backends import ON_GPU, cpu
 from tdgbench.splats.view import AS_3DGS, Blending
-from tests.helpers.backends import NotFinite, Raises, StandIn, Unsteady, WrongGradient, WrongValue, need, register
+from tests.helpers.backends import (
+    NoAbsgrad,
+    NoBackground,
+    NoRadii,
+    NotFinite,
+    Raises,
+    StandIn,
+    Unsteady,
+    WrongGradient,
+    WrongValue,
+    need,
+    register,
+)
 
 
 @pytest.fixture
@@ -65,6 +77,7 @@ def with_error(error: Exception) -> Raises:
 REFUSED = {
     "wrong value": (WrongValue(), "image of the scene 'gray, harmonics of degree 3' is wrong by ", "allowed is 5e-05"),
     "wrong gradient": (WrongGradient(), "gradients of the scene 'gray", "allowed is 0.0002"),
+    "no radii": (NoRadii(), "radii of the scene 'gray, harmonics of degree 3' are 0 of ", " Gaussians that it shows"),
     "NaN": (NotFinite(), "image of the scene", "is not finite"),
     "error": (with_error(AssertionError("torch.Size([120, 16])")), "AssertionError: ", "torch.Size([120, 16])"),
     "no memory": (Raises(), "OutOfMemoryError: CUDA out of memory. Tried to allocate 2.00 MiB.", ""),
@@ -75,6 +88,11 @@ REFUSED = {
 def test_a_backend_that_is_wrong_is_refused_with_the_reason(verdict_on, one_scene, backend, start, end):
     reason = verdict_on(backend).reason
     assert reason.startswith(start) and reason.endswith(end) and "\n" not in reason
+
+
+@pytest.mark.parametrize(("backend", "what"), [(NoBackground(), "image"), (NoAbsgrad(), "gradients")])
+def test_a_background_and_absolute_gradients_are_compared(verdict_on, backend, what):
+    assert verdict_on(backend).reason.startswith(f"{what} of the scene 'colours, many tiles'")
 
 
 def test_what_is_not_deterministic_is_told_and_not_refused(verdict_on, one_scene):
