@@ -7,6 +7,7 @@ are compared.
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -80,23 +81,23 @@ def views_with_other_truth(a: CellFolder, b: CellFolder, views: Iterable[str]) -
 
 
 def truth_groups(cells: Iterable[CellFolder]) -> dict[Path, int]:
-    """Return a number by a cell's folder, equal for cells of one scene with the same ground truth.
+    """Return a number by a cell's folder, equal for cells of one scene with the same test views and ground truth.
 
-    Cells whose pictures cannot be read are 0.
+    Cells whose pictures cannot be read, or that have none, have numbers of their own.
     """
-    found: dict[tuple[object, ...], list[dict[str, np.ndarray]]] = {}
-    numbers = {}
+    found: dict[tuple[object, ...], list[tuple[int, dict[str, np.ndarray]]]] = {}
+    numbers, new = {}, itertools.count(1)
     for cell in cells:
         views = cell.views_with_truth()
         try:
             truth = {view: cell.truth(view) for view in views}
         except (OSError, ValueError):
-            numbers[cell.folder] = 0
-            continue
+            truth = {}
         known = found.setdefault((cell.record.dataset, cell.record.scene, *views), [])
-        same = (i for i, other in enumerate(known) if all(same_truth(truth[view], other[view]) for view in views))
-        number = next(same, len(known))
-        if number == len(known):
-            known.append(truth)
-        numbers[cell.folder] = number + 1
+        same = (n for n, other in known if truth and all(same_truth(truth[view], other[view]) for view in views))
+        number = next(same, None)
+        if number is None:
+            number = next(new)
+            known += [(number, truth)] if truth else []
+        numbers[cell.folder] = number
     return numbers

@@ -160,13 +160,14 @@ def why_no_times(causes: Iterable[Cause]) -> str:
 
 def truth_in_words(pair: ComparedCell) -> str:
     """Return whose ground truth the second cell of a pair was scored against, by their pictures."""
-    there = set(pair.b.views_with_truth())
-    common = [view for view in pair.a.views_with_truth() if view in there]
+    views, there = pair.a.views_with_truth(), pair.b.views_with_truth()
+    if views != there:
+        return "unknown, since none is stored" if not (views and there) else "that of other test views"
     try:
-        other = views_with_other_truth(pair.a, pair.b, common)
+        other = views_with_other_truth(pair.a, pair.b, views)
     except (ValueError, OSError) as error:
         return f"unknown, since {one_line(str(error))}"
-    return f"another one in {len(other)} of {len(common)} test views" if other else "A's"
+    return f"another one in {len(other)} of {len(views)} test views" if other else "A's"
 
 
 def settings(record: Record) -> dict[tuple[str, str], str]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from tdgbench.cells.folder import RENDERS, CellFolder, read_cells
+from tdgbench.cells.folder import RENDERS, CellFolder, read_cells, shared_content
 from tdgbench.cells.paths import LOG_FILE
 from tdgbench.cells.plan import read_plan
 from tdgbench.cells.record import Record
@@ -49,7 +49,7 @@ def checklist(experiment: Path) -> list[Item]:
 def _item_of_seeds(records: list[Record]) -> Item:
     """Return the line of seeds, which says how many the cells lack at most."""
     seeds = defaultdict(set)
-    for one in records:
+    for one in {shared_content(one) or one.key or id(one): one for one in records}.values():  # copies are one training
         variant = f" [{one.variant}]" if one.variant else ""
         seeds[f"{one.method} on {one.dataset}/{one.scene}, {one.init}{variant}"].add(one.seed)
     lacks = {title: FEWEST_SEEDS - len(found) for title, found in seeds.items() if len(found) < FEWEST_SEEDS}

@@ -20,8 +20,9 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--out", type=Path, metavar="FILE", help="default: <experiment>-<hash>.zip beside the folder")
     parser.add_argument("--keep-paths", action="store_true", help="pack although records hold absolute paths")
     options = parser.parse_args(arguments)
+    items = checklist(options.experiment)
     path, name = pack(options.experiment, options.out, options.keep_paths)
-    for title, missing in checklist(options.experiment):
+    for title, missing in items:
         say(one_line(f"{title}: {missing}" if missing else title), "missing:" if missing else "ok:")
     say(f"{path}: {path.stat().st_size / 2**20:.2f} MB, SHA-256 of its manifest {name}")
     return 0

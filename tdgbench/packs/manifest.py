@@ -60,6 +60,16 @@ class Manifest:
         return (json.dumps(asdict(self), indent=1, sort_keys=True) + "\n").encode()
 
 
+def plain_name(name: str) -> str:
+    """Return the name of an experiment as a manifest may state it.
+
+    >>> plain_name("table 1"), plain_name("+x"), plain_name("test\u00b2")
+    ('table 1', '_+x', 'test_')
+    """
+    plain = re.sub(r"[^\w .,=+~()-]", "_", name, flags=re.ASCII)
+    return (plain if re.match(r"\w", plain) else f"_{plain}")[:100]
+
+
 def sha256(content: bytes) -> str:
     """Return SHA-256 of bytes. That of its manifest names a pack, as it decides everything in it."""
     return hashlib.sha256(content).hexdigest()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import re
 import shlex
 import shutil
 import zipfile
@@ -16,7 +15,7 @@ from typing import Any
 from tdgbench import __version__
 from tdgbench.cells.folder import files_below
 from tdgbench.cells.key import flat
-from tdgbench.cells.paths import RECORD_FILE, folder_name
+from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.cells.plan import PLAN_FILE
 from tdgbench.cells.record import no_records, record_files
 from tdgbench.files import content_of, opened, whole_file
@@ -44,8 +43,8 @@ def pack(experiment: Path, path: Path | None = None, keep_paths: bool = False) -
         _check_no_private_paths([file for name, file in paths.items() if name.endswith(TEXTS)], experiment)
     files = {name: _described(file, experiment) for name, file in paths.items()}
     manifest.check_amount(files)
-    plain = experiment_name if re.fullmatch(manifest.NAME, experiment_name) else folder_name(experiment_name)
-    text = manifest.Manifest(plain, __version__, files).to_json()
+    text = manifest.Manifest(manifest.plain_name(experiment_name), __version__, files).to_json()
+    manifest.read_manifest(text)  # as its readers will
     name = manifest.sha256(text)
     path = path or experiment.resolve().parent / f"{experiment_name}-{name[: manifest.SHOWN]}.zip"
     with whole_file(path) as part, zipfile.ZipFile(part, "w") as archive:

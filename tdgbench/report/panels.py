@@ -71,7 +71,7 @@ def settling_panel(cells: Sequence[Cell], colours: Mapping[str, str]) -> dict[st
     for cell in cells:
         column = method_label(cell.record, with_init=True)
         for name, part in cell.record.parts.items():
-            checks = part.get("checks")
+            checks = [row for row in part.get("checks") or () if len(row) == 3]
             if not checks:
                 continue
             other = next((f", {LABELS[one]}" for one in OTHERS if name.endswith(f"{one}_curriculum")), "")

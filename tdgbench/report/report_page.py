@@ -118,14 +118,13 @@ def in_ranges(texts: Iterable[str]) -> list[str]:
     >>> in_ranges(["12 of 40 views", "9 of 40 views", "nothing"])
     ['9 to 12 of 40 views', 'nothing']
     """
-    found: dict[str, list[list[str]]] = {}
+    found: dict[tuple[str, ...], list[list[str]]] = {}
     for text in texts:
-        found.setdefault(NUMBER.sub("\0", text), []).append(NUMBER.findall(text))
+        found.setdefault(tuple(NUMBER.split(text)), []).append(NUMBER.findall(text))
     lines = []
-    for form, numbers in found.items():
+    for (first, *rest), numbers in found.items():
         ends = [sorted(set(column), key=float) for column in zip(*numbers, strict=True)]
         ranges = [" to ".join(dict.fromkeys((end[0], end[-1]))) for end in ends]
-        first, *rest = form.split("\0")
         lines.append(first + "".join(one + text for one, text in zip(ranges, rest, strict=True)))
     return lines
 

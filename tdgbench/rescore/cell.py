@@ -73,6 +73,11 @@ def score_cell(cell: CellFolder, target: Path, scorer: Scorer, metrics: dict[str
     return {metric.name: new.scores[metric.name] for metric in todo}
 
 
+def is_same_training(record: Record, other: Record) -> bool:
+    """Return whether all files of two finished cells but their scores are equal."""
+    return {**record.hashes, VIEWS_FILE: ""} == {**other.hashes, VIEWS_FILE: ""}
+
+
 def _earlier_scores(cell: CellFolder, target: Path, new: Record) -> EarlierScores:
     """Return the values that can be taken over: those of an earlier scoring in `target`, else those of the cell.
 
@@ -80,7 +85,7 @@ def _earlier_scores(cell: CellFolder, target: Path, new: Record) -> EarlierScore
     """
     there, source = readable_record(target), cell
     if there is not None and there.failure is None:
-        if {**there.hashes, VIEWS_FILE: ""} != {**cell.record.hashes, VIEWS_FILE: ""}:
+        if not is_same_training(cell.record, there):
             raise ValueError(f"{target} holds another training; name a new folder, or delete it")
         scored = CellFolder(target, there)
         if there.protocol == new.protocol and not any(scored.file_problems()):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ from tdgbench.cells.record import no_records
 from tdgbench.experiments.sweep.finish import write_all
 from tdgbench.files import whole_folder
 from tdgbench.packs import opened_pack
-from tdgbench.rescore.cell import score_cell
+from tdgbench.rescore.cell import is_same_training, score_cell
 from tdgbench.resources import conf_folder
 from tdgbench.scoring import Scorer
 from tdgbench.scoring.metrics.lpips import LPIPS
@@ -57,6 +57,16 @@ def main(arguments: list[str]) -> int:
     return int(failed)
 
 
+def _check_out(out: Path, cells: Iterable[CellFolder]) -> None:
+    """Raise ValueError if a finished cell in `out` is none of these cells."""
+    known = {cell_folder_of(out, cell.record): cell for cell in cells if cell.record.failure is None}
+    for there in read_cells(out) if out.exists() else ():
+        if there.record.failure is None and not (
+            there.folder in known and is_same_training(known[there.folder].record, there.record)
+        ):
+            raise ValueError(f"{there.folder} holds another training; name a new folder, or delete it")
+
+
 class Chosen(NamedTuple):
     """Options of `metrics` as records keep them."""
 
@@ -67,7 +77,8 @@ class Chosen(NamedTuple):
 def score_experiment(experiment: Path, out: Path, words: list[str], config_dirs: Sequence[Path] = ()) -> bool:
     """Score the cells of an experiment into another one; return whether one of them could not be scored.
 
-    Raises ValueError for a folder without finished cells, and for words that are no options of `metrics`.
+    Raises ValueError for a folder without finished cells, words that are no options of `metrics`, and an `out` that
+    holds a finished training of another experiment.
     """
     chosen = read_options(words, config_dirs) if words else None
     cells = read_cells(experiment)
@@ -77,6 +88,7 @@ def score_experiment(experiment: Path, out: Path, words: list[str], config_dirs:
         raise ValueError(f"{experiment} holds no finished cell")
     if out.resolve() == experiment.resolve():
         raise ValueError(f"{out} holds the first scores, which are kept; name another folder")
+    _check_out(out, cells)
     scorers: dict[str, Scorer] = {}  # each loads LPIPS's network once for all cells
     plan = read_plan(experiment)
     plan.own_metrics |= entries_of(extra_of(chosen.metrics)) if chosen else {}

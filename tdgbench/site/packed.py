@@ -258,7 +258,7 @@ def _read(path: Path, folder: Path, content: Manifest, sha256: str) -> Pack:
 
 
 def rows_of(pack: Pack, setups: Mapping[Path, str]) -> list[BoardRow]:
-    """Return the rows of a pack: scenes that a method's column has a finished cell of, and averages over several.
+    """Return the rows of a pack: scenes that a method's column has a finished cell of, and averages over all of them.
 
     setups: of the cells of all packs, by folder.
     """
@@ -268,16 +268,15 @@ def rows_of(pack: Pack, setups: Mapping[Path, str]) -> list[BoardRow]:
         titles = [(measure_of(name).title, measure_of(name).meaning) for name in own]
         further = main_grid(pack.tables.main.assign(bold=False), None, own).rows if own else []
     of_place = {row.place: row.cells for row in further}
-    scenes = {cell.dataset_and_scene for cell in pack.cells}
-    in_dataset = Counter(dataset for dataset, _ in scenes)
+    in_dataset = Counter(dataset for dataset, _ in {cell.dataset_and_scene for cell in pack.cells})
     rows = []
     for row in pack.tables.grid.rows:
         dataset, scene, column = row.place
         by_head = dict(zip(heads, row.cells, strict=True))
         scores = tuple(by_head.get(head, GridCell())._replace(bold=False) for head in HEADS)
-        is_shown = in_dataset[dataset] > 1 if scene == AVERAGE else (dataset, scene) in scenes
-        if is_shown and any(cell.text != "n/a" for cell in scores):
-            cells = [cell for cell in pack.cells if _is_behind(cell, dataset, scene, column)]
+        cells = [cell for cell in pack.cells if _is_behind(cell, dataset, scene, column)]
+        of_average = len({cell.record.scene for cell in cells}) == in_dataset[dataset] > 1
+        if of_average if scene == AVERAGE else cells:
             first, found = cells[0].record, frozenset(setups[cell.folder] for cell in cells)
             rows.append(
                 BoardRow(pack, protocols[row.place], protocol_settings(first.config), dataset, scene, first.method,

@@ -20,6 +20,7 @@ from tdgbench.text import as_typed, named
 
 METRIC = "psnr"  # that ranks are of
 WITHOUT_WORDS = ("scene's files", "ground truth", "views", "masked")  # whose values tell a reader nothing
+WITHOUT_MEAN = "its PSNR is n/a"
 FEW_SEEDS = f"fewer than {FEWEST_SEEDS} seeds, or no rival with as many"
 
 
@@ -96,8 +97,9 @@ def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:
             f"the rows of all packs differ in {_differences(rivals)}. Only like trainings on equal images are ranked"
         )
         return [replace(row, unranked=unlike, is_unlike=True) for row in rivals]
-    able = [i for i, row in enumerate(rivals) if len(row.by_seed(METRIC)) >= FEWEST_SEEDS]
-    found = [replace(row, unranked=FEW_SEEDS) for row in rivals]
+    known = [not np.isnan(row.scores[SCORES.index(METRIC)].value) for row in rivals]
+    able = [i for i, row in enumerate(rivals) if known[i] and len(row.by_seed(METRIC)) >= FEWEST_SEEDS]
+    found = [replace(row, unranked=FEW_SEEDS if known[i] else WITHOUT_MEAN) for i, row in enumerate(rivals)]
     if len(able) < 2:
         return found
     numbers = _by_seed(METRIC, [rivals[i] for i in able])

@@ -317,8 +317,7 @@ def cell_rows(records: Iterable[Record], shown: Sequence[str]) -> list[list[str]
 
 def file_of(method: str) -> Path | None:
     """Return the file of a method of tdgbench; None for others."""
-    path = conf_folder() / "method" / f"{method}.yaml"
-    return path if path.name == f"{method}.yaml" and path.is_file() else None
+    return {path.stem: path for path in (conf_folder() / "method").glob("*.yaml")}.get(method)
 
 
 def reading_of(method: str, packs: Sequence[Pack]) -> str:

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import pandas as pd
 
-from tdgbench.cells.folder import CellFolder
+from tdgbench.cells.folder import CellFolder, shared_content
 from tdgbench.cells.paths import RECORD_FILE, VIEWS_FILE, cell_folder_of
 from tdgbench.cells.plan import Plan, read_plan
 from tdgbench.cells.record import READ_PHASE, Failure, Record, no_records, read_each
@@ -97,7 +97,7 @@ class Results:
 
 
 def read_results(experiment: Path) -> Results:
-    """Read an experiment. A cell whose record cannot be read is a failed cell, with the reason.
+    """Read an experiment. A cell whose record cannot be read is a failed cell, with the reason; copies count once.
 
     Of runs without a name, only the cells of the last run's scenes are returned. Raises ValueError, naming the folder,
     if it has neither records nor a plan.
@@ -108,7 +108,7 @@ def read_results(experiment: Path) -> Results:
     except (OSError, ValueError) as error:
         plan = Plan()
         problems.append(f"{error}; tables show the cells that have records")
-    cells = _cells_in_place(experiment, problems)
+    cells = _without_copies(_cells_in_place(experiment, problems), problems)
     if experiment.absolute().name == UNNAMED and plan.scenes:
         scenes = {(scene.dataset, scene.scene) for scene in plan.scenes}
         cells = [cell for cell in cells if cell.dataset_and_scene in scenes]
@@ -136,6 +136,27 @@ def _cells_in_place(experiment: Path, problems: list[str]) -> list[Cell]:
         else:
             found.setdefault(place, cell)
     return list(found.values())
+
+
+def _without_copies(cells: list[Cell], problems: list[str]) -> list[Cell]:
+    """Return the cells but those whose files and ground truth are another seed's: they are no further training.
+
+    So are scores of one folder of renders under several seeds. Problems are added.
+    """
+    kept: list[Cell] = []
+    firsts: dict[tuple[str, ...], Cell] = {}
+    for cell in sorted(cells, key=lambda one: one.record.seed):
+        content, column = shared_content(cell.record), method_label(cell.record, with_init=True)
+        first = cell
+        if content and cell.record.failure is None:
+            first = firsts.setdefault((column, *cell.dataset_and_scene, content), cell)
+        if first is cell:
+            kept.append(cell)
+        else:
+            problems.append(
+                f"{cell.record.title}: its files are those of seed {first.record.seed}; both count as one seed"
+            )
+    return [cell for cell in cells if cell in kept]
 
 
 def _view_problems(cell: Cell) -> list[str]:

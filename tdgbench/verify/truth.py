@@ -37,6 +37,7 @@ class Truth(NamedTuple):
 
     images: dict[str, np.ndarray]
     range: list[float] | None
+    dataset: str = ""
 
 
 class TrueData:
@@ -77,7 +78,7 @@ class TrueData:
             is_gray = not (scene.in_palette or in_pseudo_colour(scene.test))
             span = scene.temperature if is_gray else None
             images = {view.name: truth_of(view) for view in scene.test}
-            self._read[key] = Truth(images, None if span is None else [span.min, span.max])
+            self._read[key] = Truth(images, None if span is None else [span.min, span.max], scene.dataset)
         return self._read[key]
 
     def _spend(self, loader: dict[str, Any]) -> None:
@@ -116,9 +117,11 @@ def data_problems(cell: CellFolder, data: TrueData) -> Iterator[str]:
     """Yield test views whose ground truth is not that of the data, and another range. Raises as `TrueData.truth_of`."""
     views, record = list(cell.test_cameras), cell.record
     try:
-        truth, span = data.truth_of(record)
+        truth, span, dataset = data.truth_of(record)
     except SceneError as error:
         raise ValueError(str(error)) from error
+    if dataset != record.dataset:
+        yield f"its data set is {record.dataset}, that of the data {dataset}"
     unknown = set(views) ^ set(truth)
     if unknown:
         yield f"its test views are not those of the data: {first_few(unknown)}"

@@ -193,10 +193,15 @@ def test_names_of_experiments_are_of_an_alphabet(packed, name):
         manifest.read_manifest(content[manifest.MANIFEST_FILE])
 
 
-def test_an_experiment_with_another_name_is_packed_under_a_plain_one(small_results, tmp_path):
-    copy = Path(shutil.copytree(small_results, tmp_path / "it's; mine"))
+@pytest.mark.parametrize(
+    ("name", "plain"),
+    [("it's; mine", "it_s_ mine"), ("+x", "_+x"), ("test\u00b2", "test_"), (120 * "n", 100 * "n")],
+    ids=["signs", "plus", "digit", "long"],
+)
+def test_an_experiment_with_another_name_is_packed_under_a_plain_one(small_results, tmp_path, name, plain):
+    copy = Path(shutil.copytree(small_results, tmp_path / name))
     content, _ = unpack(pack(copy, keep_paths=True)[0], tmp_path / "theirs")
-    assert content.experiment.startswith("it_s__mine~")
+    assert content.experiment == plain
 
 
 def bomb(path: Path, packed: Path, name: str, size: int) -> Path:

@@ -12,8 +12,10 @@ import pytest
 import torch
 
 from tdgbench.cells.cell_tables import read_views
+from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.metric_settings import metric_settings, scorer_of
 from tdgbench.cells.paths import RECORD_FILE
+from tdgbench.cells.plan import PLAN_FILE
 from tdgbench.cells.protocol import protocol_of
 from tdgbench.cells.record import Record, read_all, read_record
 from tdgbench.packs import pack
@@ -176,8 +178,25 @@ def test_another_training_is_not_replaced(msmg, capsys):
     (other / MSMG / RECORD_FILE).write_text(json.dumps(content))
     before = (other / MSMG / RECORD_FILE).read_bytes()
     assert score(msmg, "b", OFFLINE) == 1
-    assert "holds another training; name a new folder" in capsys.readouterr().out
+    assert "holds another training; name a new folder" in capsys.readouterr().err
     assert (other / MSMG / RECORD_FILE).read_bytes() == before
+
+
+def test_a_finished_training_of_another_experiment_stays_as_it_is(msmg, capsys):
+    """The other experiment's cell has failed, or it has no such cell."""
+    failed = Path(shutil.copytree(msmg, msmg.with_name("failed")))
+    content = json.loads((failed / MSMG / RECORD_FILE).read_text())
+    content |= {"status": "failed", "failure": {"phase": "train", "error": "no", "traceback": ""}, "seed": 0}
+    finished = failed / MSMG.replace("seed0", "seed1")
+    shutil.copytree(failed / MSMG, finished)
+    (failed / MSMG / RECORD_FILE).write_text(json.dumps(content))
+    (finished / RECORD_FILE).write_text((msmg / MSMG / RECORD_FILE).read_text().replace('"seed": 0', '"seed": 1'))
+    other = Path(shutil.copytree(msmg, msmg.with_name("b")))
+    (other / PLAN_FILE).write_text("{}")
+    before = hashes_below(other)
+    assert score(failed, "b", OFFLINE) == 1
+    assert "holds another training; name a new folder" in capsys.readouterr().err
+    assert hashes_below(other) == before and (other / PLAN_FILE).read_text() == "{}"
 
 
 def test_weights_that_were_replaced_are_refused(msmg, capsys, monkeypatch):

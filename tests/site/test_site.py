@@ -14,7 +14,7 @@ from PIL import Image
 
 from tdgbench.cells.folder import hashes_below
 from tdgbench.cells.plan import MetricEntry, Plan
-from tdgbench.cells.record import read_all
+from tdgbench.cells.record import Failure, read_all
 from tdgbench.packs import pack
 from tdgbench.site.packed import SCORES
 from tdgbench.site.site_pages import main
@@ -24,7 +24,7 @@ from tdgbench.tables.overrides import training_in_words
 from tdgbench.tables.published import published_main
 from tests.helpers.browser import CHROMIUM, opened
 from tests.helpers.html_page import HtmlPage
-from tests.helpers.records import published_as_records, write, write_record
+from tests.helpers.records import published_as_records, with_truth, write, write_record
 from tests.helpers.records import record as record_of
 
 MEGABYTE = 2**20
@@ -61,6 +61,7 @@ def published(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("published") / "table1"
     for seed in range(3):
         published_as_records(folder, seed)
+    with_truth(folder)
     return pack(folder)[0]
 
 
@@ -114,7 +115,8 @@ def test_every_number_is_that_of_the_records(small_results, packed, tmp_path):
         assert re.fullmatch(r"[\d.]+ [\d.]+ to [\d.]+", numbers[0])  # with the interval
         assert iterations == str(record.setting("budget.iterations"))
         assert re.fullmatch(r"\d+×\d+", size) and (ranges == "n/a") == (record.temperature_range is None)
-    assert rows == {}  # no mean, as one scene has failed
+    ((_, scene), numbers), *others = rows.items()  # TDg's failed cell is of a third scene
+    assert scene == "mean of 2 scenes †" and numbers[0] == "n/a" and not others
 
 
 def test_a_board_states_the_settings_of_its_protocol(tmp_path):
@@ -143,6 +145,7 @@ def test_ranks_are_across_packs_and_of_like_trainings(tmp_path):
                 fields |= {"iterations": 9, "skips": [skip]}
             write(tmp_path / name, method, "Shed", "mine", seed=seed, **fields)
         entries = {"edges": MetricEntry("sharpness", "of edges", "dB", 1, True, (None, None), "")} if own else {}
+        with_truth(tmp_path / name)
         Plan(own_metrics=entries).write(tmp_path / name)
         packs.append(pack(tmp_path / name, tmp_path / f"{name}.zip", keep_paths=True)[0])
     folder = make(tmp_path / "site", *packs, "--title", "Sheds & more")
@@ -182,12 +185,42 @@ def test_rows_of_other_images_are_not_compared(tmp_path):
                       "config": {"skip": {"gray": True} if name != "c" else {"otherwise": False}},
                       "prior": {"made_from": "points"}}  # fmt: skip
         write(tmp_path / name, "tdg" if name == "a" else "msmg", "Truck", data=data, **of_version)
+        with_truth(tmp_path / name)
         packs.append(pack(tmp_path / name, tmp_path / f"{name}.zip", keep_paths=True)[0])
     assert "No ranks" not in (make(tmp_path / "same", *packs[:2]) / "index.html").read_text()
     index = (make(tmp_path / "mixed", *packs) / "index.html").read_text()
     assert "sparse points (COLMAP mostly finds them in RGB images)" in index
     differ = "scene&#39;s files; tdgbench: a or c; skip: default or none (all off)."
     assert f"<b>No ranks on Truck</b>: the rows of all packs differ in {differ}" in index
+
+
+def test_a_method_with_a_failed_seed_is_shown_with_the_reason(tmp_path):
+    for method in ("tdg", "3dgs"):
+        for seed in range(3):
+            write(tmp_path / "a", method, "Shed", "mine", seed=seed, scores={"psnr": 30.0 + seed / 10})
+    with_truth(tmp_path / "a")
+    failure = Failure("train", "OutOfMemoryError: no", "")
+    write(tmp_path / "a", "3dgs", "Shed", "mine", seed=3, status="failed", failure=failure)
+    folder = make(tmp_path / "site", pack(tmp_path / "a", tmp_path / "a.zip", keep_paths=True)[0])
+    rows = {row[1]: row for row in rows_of_index(folder)}
+    assert rows["3DGS"][0] == "–" and rows["3DGS"][3] == "n/a" and rows["TDg"][3].startswith("30.10")
+    assert "in 1 of 4 seeds failed" in (folder / "index.html").read_text() and (folder / "methods/3dgs.html").is_file()
+
+
+def test_rows_without_ground_truth_are_not_ranked(tmp_path):
+    """What no file shows may be of other images."""
+    packs = []
+    for method in ("tdg", "msmg"):
+        for seed in range(3):
+            write(tmp_path / method, method, "Shed", "mine", seed=seed, scores={"psnr": 30.0 + seed / 10})
+        packs.append(pack(tmp_path / method, tmp_path / f"{method}.zip", keep_paths=True)[0])
+    index = (make(tmp_path / "site", *packs) / "index.html").read_text()
+    assert "<b>No ranks on Shed</b>: the rows of all packs differ in ground truth" in index
+
+
+def test_a_method_s_name_may_be_long(tmp_path):
+    write(tmp_path / "a", "m" * 300, "Shed", "mine")
+    make(tmp_path / "site", pack(tmp_path / "a", tmp_path / "a.zip", keep_paths=True)[0])
 
 
 def test_published_numbers_and_verdicts_stand_beside(site):

@@ -187,3 +187,12 @@ def test_views_without_a_metric_have_none(tmp_path):
 def test_labels(tmp_path):
     assert Cell(tmp_path, record()).label == "TDg"
     assert Cell(tmp_path, record(init="random", seed=2)).label == "TDg (random), seed 2"
+
+
+def test_copies_of_a_training_count_as_one_seed(tmp_path):
+    for seed in range(3):
+        write(tmp_path, seed=seed, hashes={"model.ply": "a" * 64})
+    write(tmp_path, seed=3, hashes={"model.ply": "b" * 64})
+    results = read_results(tmp_path)
+    assert sorted(cell.record.seed for cell in results.finished) == [0, 3]
+    assert results.problems[0].endswith("its files are those of seed 0; both count as one seed")

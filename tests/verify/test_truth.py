@@ -61,6 +61,15 @@ def test_a_forged_truth_is_found_by_the_data(forged):
     assert not any(": psnr of" in problem or "is not the ground truth" in problem for problem in problems)  # it fits
 
 
+def test_another_data_set_s_name_is_found(small_results, tmp_path):
+    cell = tmp_path / "a" / OURS
+    shutil.copytree(small_results / OURS, cell)
+    replace(read_record(cell), dataset="RGBT-Scenes").write(cell)
+    assert any(
+        "its data set is RGBT-Scenes, that of the data synthetic" in one for one in verify(tmp_path / "a").problems
+    )
+
+
 def test_what_was_not_compared_is_said(forged, small_results, tmp_path, capsys, monkeypatch):
     """Of scenes that are not built in, without --data; with it, they are read from there."""
     monkeypatch.setattr(truth, "BUILT_IN", "another")
@@ -121,6 +130,18 @@ def test_compare_says_whose_truth_it_was(forged, small_results, capsys):
     assert "protocol: ground truth: A's → another one in 2 of 2 test views" in out
     assert "not checked here: whether the stored ground truth is the data's (tdgbench verify)" in out
     assert compare([str(small_results), str(small_results)]) == 0
+
+
+@pytest.mark.parametrize(("kept", "words"), [([], "unknown, since none is stored"), ([0], "that of other test views")])
+def test_compare_says_where_it_has_no_truth_to_compare(forged, small_results, capsys, kept, words):
+    record = read_record(forged / OURS)
+    targets = sorted(name for name in record.hashes if name.startswith("targets/"))
+    for number, name in enumerate(targets):
+        if number not in kept:
+            del record.hashes[name]
+    record.write(forged / OURS)
+    compare([str(small_results), str(forged)])
+    assert f"ground truth: A's → {words}" in capsys.readouterr().out
 
 
 def test_the_site_does_not_rank_rows_of_another_truth(forged, small_results, tmp_path):
