@@ -7,6 +7,7 @@ import signal
 import subprocess
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,7 +30,7 @@ class Ended(NamedTuple):
 
 
 def run_limited(command: Sequence[str], seconds: float, folder: Path) -> Ended:
-    """Run a command in a folder. After so many seconds, or if this process is interrupted, its group is killed."""
+    """Run a command in a folder. When it ends, after so many seconds, or if interrupted, its group is killed."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:
         child = subprocess.Popen(command, stdout=out, stderr=errors, cwd=folder, start_new_session=True)
         status = None
@@ -38,9 +39,9 @@ def run_limited(command: Sequence[str], seconds: float, folder: Path) -> Ended:
         except subprocess.TimeoutExpired:
             pass
         finally:
-            if child.poll() is None:
+            with suppress(ProcessLookupError):  # what it started may live on when it has ended
                 os.killpg(child.pid, signal.SIGKILL)
-                child.wait()
+            child.wait()
         texts = []
         for file in (out, errors):
             file.seek(0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from itertools import islice, pairwise
 
 import hydra
@@ -47,7 +48,7 @@ def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
     else:
         if console(stderr=True).is_terminal:
             say(f"tdgbench {__version__}: loading", stderr=True)  # a person would wait seconds for the first line
-        from tdgbench.experiments import experiment  # noqa: F401 (what experiments need)
+        from tdgbench.experiments import experiment
 
         on_loaded()
         import_from_working_folder()
@@ -56,6 +57,10 @@ def run(words: list[str], on_loaded: Callable[[], None] = lambda: None) -> int:
         os.environ[FULL_ERROR] = "1"
         try:
             run_experiment()
+        except Exception:
+            with suppress(SystemExit):  # of failed cells; the error that ends the run says more
+                experiment.ExperimentCallback.conclude()
+            raise
         finally:
             if before is None:
                 del os.environ[FULL_ERROR]

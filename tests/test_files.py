@@ -22,6 +22,14 @@ def test_a_file_is_whole_or_not_at_all(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
 
 
+def test_writers_of_one_number_do_not_meet(tmp_path):
+    """Processes in two containers may both have the number 1."""
+    with whole_file(tmp_path / "a.txt") as one, whole_file(tmp_path / "a.txt") as other:
+        one.write_text("one")
+        other.write_text("other")
+    assert (tmp_path / "a.txt").read_text() == "one" and [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
 def test_a_folder_takes_its_place_whole(tmp_path):
     target = tmp_path / "cells" / "seed0"
     with whole_folder(target) as part:

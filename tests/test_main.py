@@ -197,6 +197,19 @@ def test_a_method_with_the_name_of_another_one_is_refused(tmp_path):
     assert run.returncode == 1 and run.stderr == f"error: {said}\n"
 
 
+def test_a_file_that_a_choice_of_tdgbench_hides_is_refused(tmp_path):
+    (tmp_path / "yaml" / "budget").mkdir(parents=True)
+    (tmp_path / "yaml" / "budget" / "demo.yaml").write_text("iterations: 7\n")
+    run = command_here(tmp_path, "--config-dir", "yaml", "method=3dgs", "scene=facade", *QUICK)
+    said = "is a choice of tdgbench, so yaml/budget/demo.yaml is not read; give the file another name"
+    assert run.returncode == 1 and run.stderr.replace(f"{tmp_path}/", "") == f"error: budget=demo: {said}\n"
+
+
+def test_a_sweep_has_no_options_of_experiments(tmp_path):
+    run = command_here(tmp_path, "method=3dgs", "scene=facade", *QUICK, "+study.seeds=[0,1,2]")
+    assert run.returncode == 1 and run.stderr.startswith("error: study.seeds: is an option of experi")
+
+
 @pytest.mark.parametrize(
     ("words", "status", "text"),
     [(["--version"], 0, f"tdgbench {__version__}"), (["verify", "x"], 1, "error: the working folder was deleted; ")],

@@ -48,6 +48,7 @@ from tdgbench.training.part import TrainingError
 from tdgbench.training.skips import Skips
 from tdgbench.training.trainer import Trainer
 
+ABANDONED = 86400.0  # seconds after which nobody goes on to write a file
 SLOW = 1800  # seconds of networks in a training, of which the terminal warns
 
 
@@ -235,6 +236,9 @@ class CellRun(SetupObserver):
         folder = prior_cache(Path(self.cfg.results))
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            for part in folder.glob(".*.npz"):  # of a killed process
+                if time.time() - part.stat().st_mtime > ABANDONED:
+                    part.unlink(missing_ok=True)
             with TemporaryFile(dir=folder):
                 return folder
         except OSError as error:

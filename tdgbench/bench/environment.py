@@ -18,7 +18,10 @@ from tdgbench.splats.backends.backend import installed_version
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.simd.registers import LANES
 
-PACKAGES = ("tdgbench", "torch", "numpy", "numba", "scipy", "pycolmap", "lpips", "hydra-core", "gsplat", "warp-lang")
+PACKAGES = (
+    "tdgbench", "torch", "numpy", "numba", "scipy", "pycolmap", "lpips", "hydra-core", "pillow", "onnxruntime",
+    "diffusers", "transformers", "gsplat", "warp-lang",
+)  # fmt: skip
 SAME_BYTES = ("python", "packages", "platform", "cpu", "simd_lanes", "gpu")  # decide a training's bytes; threads do not
 
 

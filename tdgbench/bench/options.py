@@ -31,6 +31,7 @@ from tdgbench.cells.key import flat
 from tdgbench.cells.plan import LONGEST_LABEL, method_entries
 from tdgbench.cells.prior_sources import PriorSource
 from tdgbench.cells.record import LARGEST
+from tdgbench.resources import conf_folder
 from tdgbench.scenes.modalities import LABELS
 from tdgbench.splats.backends import backend_names
 from tdgbench.splats.density import GradientKind
@@ -90,6 +91,15 @@ def check_experiment_options(cfg: DictConfig, options: Callable[..., Any]) -> No
     problems = unresolved or signature_problems(options, given, EXPERIMENT)
     if problems:
         raise OptionError(problems)
+
+
+def check_choices(cfg: DictConfig) -> None:
+    """Raise OptionError for files of the user's folders that Hydra does not read, as tdgbench has one of their name."""
+    files = [file for folder in _folders_of_user(cfg) for file in folder.glob("*/*.yaml")]
+    unread = [file for file in files if (conf_folder() / file.parent.name / file.name).is_file()]
+    what = "is a choice of tdgbench, so {} is not read; give the file another name"
+    if unread:
+        raise OptionError([Problem(file.parent.name, what.format(file), file.stem) for file in unread])
 
 
 def check_method_name(cfg: DictConfig, choice: str | None) -> None:

@@ -21,6 +21,7 @@ from omegaconf import DictConfig
 from tdgbench.bench.failures import error_message
 from tdgbench.bench.options import (
     OptionError,
+    check_choices,
     check_experiment_options,
     check_options,
     check_typed_names,
@@ -121,15 +122,17 @@ def check_results_folder(folder: Path) -> None:
 class ExperimentCallback(Callback):
     """Calls `start` and `end` of the configured experiment, for single runs and sweeps and with every launcher.
 
-    folder: of the experiment that this process has begun.
+    folder: of the experiment that this process has begun. sweep: configuration of a sweep whose jobs run.
     """
 
     folder: ClassVar[Path | None] = None
+    sweep: ClassVar[DictConfig | None] = None
 
     def on_run_start(self, config: DictConfig, **kwargs: object) -> None:
         with _status_1_on_error():
             experiment = experiment_of(names_to_text(config))
             experiment.check(config)
+            check_choices(config)
             experiment.check_typed(config.hydra.overrides.task)
             check_typed_names(config.hydra.overrides.task)
             _check_sweep(config, experiment)
@@ -142,13 +145,22 @@ class ExperimentCallback(Callback):
             ExperimentCallback.folder = folder
             experiment.start(config)
 
-    on_multirun_start = on_run_start
+    def on_multirun_start(self, config: DictConfig, **kwargs: object) -> None:
+        self.on_run_start(config, **kwargs)
+        ExperimentCallback.sweep = config
 
     def on_run_end(self, config: DictConfig, **kwargs: object) -> None:
         _end(config, Path(config.hydra.run.dir))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: object) -> None:
+        ExperimentCallback.sweep = None
         _end(config, Path(config.hydra.sweep.dir))
+
+    @classmethod
+    def conclude(cls) -> None:
+        """Conclude a sweep whose launcher has failed, as when the system ended a worker: what finished is kept."""
+        if cls.sweep is not None:
+            cls().on_multirun_end(cls.sweep)
 
 
 def _check_sweep(config: DictConfig, experiment: Experiment) -> None:

@@ -14,6 +14,7 @@ import torch
 
 from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading, model_identity
 from tdgbench.scenes import Scene, View
+from tdgbench.splats.backends.backend import installed_version
 
 OFFER = "(another network, also from thermal images alone)"
 
@@ -33,7 +34,7 @@ class DepthAnythingPrior:
         _ = self._network
 
     def identity(self, scene: Scene) -> dict[str, object]:
-        return {"estimator": "depth_anything", **self._model}
+        return {"estimator": "depth_anything", **self._model, "version": installed_version("transformers")}
 
     @torch.no_grad()
     def estimate(self, scene: Scene, view: View) -> DepthPrior:

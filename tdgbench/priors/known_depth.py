@@ -10,7 +10,7 @@ import numpy as np
 from tdgbench.priors.prior import DepthPrior
 from tdgbench.priors.sfm_points import visible_points
 from tdgbench.scenes import Scene, View
-from tdgbench.text import named
+from tdgbench.text import first_few, named
 
 GRID_WIDTH = 160  # columns of the grid on which points hide others, as in conf/prior/sfm_points.yaml
 _OCCLUSION = 0.1  # as there
@@ -57,7 +57,10 @@ def _of_points(view: View, points: np.ndarray) -> KnownDepth:
 
 
 def doubts_of(priors: Mapping[str, DepthPrior], scene: Scene) -> Iterator[str]:
-    """Yield why the priors of a scene's training views may be wrong, by its sparse points; nothing where it has few."""
+    """Yield why the priors of a scene's training views may be wrong: they are constant, or unlike its sparse points."""
+    constant = [name for name, prior in priors.items() if np.nanmin(prior.values) == np.nanmax(prior.values)]
+    if constant:
+        yield f"{len(constant)} of {len(priors)} depth priors have one value only, no shape: {first_few(constant)}"
     if scene.points is None:
         return
     points, kind = scene.points.points, priors[scene.train[0].name].kind

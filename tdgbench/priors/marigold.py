@@ -16,6 +16,7 @@ from pydantic import NonNegativeInt, PositiveInt
 
 from tdgbench.priors.prior import DepthPrior, chosen_device, importing, loading, model_identity
 from tdgbench.scenes import Scene, View
+from tdgbench.splats.backends.backend import installed_version
 
 OFFER = "(the paper's network)"
 
@@ -38,7 +39,7 @@ class MarigoldPrior:
     def identity(self, scene: Scene) -> dict[str, object]:
         options = {name: getattr(self, name) for name in ("steps", "ensemble", "resolution", "seed")}
         variant = {"variant": self._variant} if self._variant else {}
-        return {"estimator": "marigold", **self._model, **options, **variant}
+        return {"estimator": "marigold", **self._model, **options, **variant, "version": installed_version("diffusers")}
 
     def prepare(self) -> None:
         kind = _pipeline_class()

@@ -1,7 +1,7 @@
 """Any monocular depth network as an ONNX file, run by onnxruntime on the CPU. Needs the extra `onnx`.
 
 Image in: 1 or 3 channels in [0, 1] (gray repeated, or colour averaged), normalised if asked, resized to the network's
-input: area average to shrink, bilinear to grow, the aspect ratio given up where the model fixes both sides. Map out:
+input: area average to shrink, bilinear to grow; the aspect ratio changes where the model fixes both sides. Map out:
 resized in the same way to the size of the image.
 """
 
@@ -19,9 +19,10 @@ from pydantic import PositiveInt
 
 from tdgbench.files import opened
 from tdgbench.priors.prior import DepthPrior, Kind, PriorError, PriorUnavailableError, importing, unavailable
-from tdgbench.scenes import Scene, View
+from tdgbench.scenes import Camera, Scene, View
 from tdgbench.scenes.images import resize, with_channels
 from tdgbench.scenes.inputs import hash_of, regular_file
+from tdgbench.splats.backends.backend import installed_version
 from tdgbench.splats.cpu import pool
 from tdgbench.text import shortened
 
@@ -57,13 +58,12 @@ class OnnxPrior:
     def identity(self, scene: Scene) -> dict[str, object]:
         names = ("kind", "normalization", "output", "width", "multiple")
         options = {name: getattr(self, name) for name in names}
-        return {"estimator": "onnx", "model": self._path.name, "files": self._hash(), **options}
+        version = installed_version("onnxruntime")
+        return {"estimator": "onnx", "model": self._path.name, "files": self._hash(), **options, "version": version}
 
     def estimate(self, scene: Scene, view: View) -> DepthPrior:
         network, camera = self._network, view.camera
-        goal = self.width or camera.width
-        height = network.height or to_multiple(camera.height * goal / camera.width, self.multiple)
-        width = network.width or to_multiple(goal, self.multiple)
+        width, height = self._size(network, camera)
         image = with_channels(resize(view.thermal, width, height), network.channels)
         if self.normalization == "imagenet":
             image = normalized(image)
@@ -84,6 +84,13 @@ class OnnxPrior:
             )
         full = resize(values.astype(np.float32)[..., None], camera.width, camera.height)[..., 0]
         return DepthPrior(full, self.kind)
+
+    def _size(self, network: OnnxNetwork, camera: Camera) -> tuple[int, int]:
+        """Return width and height of the network's input, px; a side that it leaves open follows the other one."""
+        aspect = camera.width / camera.height
+        goal = self.width or (camera.width if network.height is None else network.height * aspect)
+        width = network.width or to_multiple(goal, self.multiple)
+        return width, network.height or to_multiple((network.width or goal) / aspect, self.multiple)
 
     @property
     def _path(self) -> Path:
@@ -112,7 +119,12 @@ class OnnxPrior:
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads leave the cores alone
         with unavailable("onnx", f"{path} cannot be read as an ONNX model", EXPORT):
             session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        return network_of(session, path, self.output)
+        network = network_of(session, path, self.output)
+        if None not in (self.width, network.width):
+            raise PriorUnavailableError(
+                "onnx", f"{path} takes images {network.width} px wide", f"leave prior.estimator.width={self.width} out"
+            )
+        return network
 
 
 def weights_of(path: Path) -> list[str]:

@@ -216,9 +216,12 @@ def _cached(
     if stored is not None:
         return stored, False
     prior = estimator.estimate(scene, view).check(view)
-    cache.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as part:
-        np.savez(part, values=prior.values, kind=prior.kind)  # compressing takes 20 × as long, for a fifth less
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as part:
+            np.savez(part, values=prior.values, kind=prior.kind)  # compressing takes 20 × as long, for a fifth less
+    except OSError as error:
+        LOG.warning("the prior %s was not cached: %s", path, error)
     return prior, True
 
 

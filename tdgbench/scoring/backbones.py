@@ -101,7 +101,7 @@ def trunk_weights(net: Net, file: str | None, download: bool) -> dict[str, Tenso
     else:
         raise BackboneUnavailableError(
             f"no {net} backbone: {spec.file} is not in torch's cache and metrics.lpips.download is false; set it true, "
-            f"or name the file: {NAME_IT}"
+            f"or name the file: {NAME_IT}; cells that are there get their LPIPS by tdgbench score DIR OUT"
         )
     features = {k.removeprefix("features."): v for k, v in state.items() if k.startswith("features.")}
     expected = make_trunk(net).state_dict()

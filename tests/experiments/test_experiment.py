@@ -69,6 +69,13 @@ def test_a_single_run(squares):
     assert log.read_text().splitlines() == ["start [3, 4]", "run [9, 16] seed 0", "end 0"]
 
 
+def test_an_error_that_ends_the_launcher_concludes_the_sweep(squares):
+    """As when the system ends a worker of joblib for its memory."""
+    run = squares("study.numbers=[a]", "seed=5,6", flags=("-m",))
+    assert run.returncode == 1 and "error: TypeError: can't multiply" in run.stderr
+    assert squares.log.read_text().splitlines() == ["start ['a']", "end 2"]
+
+
 def test_a_sweep_and_a_failing_end(squares):
     run = squares("seed=5,6", "study.fails=true", flags=("-m",))
     assert run.returncode == 1 and "error: RuntimeError: no conclusion" in run.stderr

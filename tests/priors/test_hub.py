@@ -9,6 +9,7 @@ from tdgbench.priors import PriorUnavailableError, prepare
 from tdgbench.priors.depth_anything import DepthAnythingPrior
 from tdgbench.priors.marigold import MarigoldPrior
 from tdgbench.priors.prior import loading
+from tdgbench.splats.backends.backend import installed_version
 from tests.priors.estimators import make
 
 OTHERS = {
@@ -57,4 +58,6 @@ def test_a_folder_s_files_are_part_of_the_identity(tmp_path):
         found.append([estimator.identity(None) for estimator in estimators])
         (folder / ".locks" / "one").write_bytes(weights)
     assert found[0] == found[2] and all(one["files"] != other["files"] for one, other in zip(*found[:2], strict=True))
-    assert DepthAnythingPrior("a/name", "cpu").identity(None) == {"estimator": "depth_anything", "model": "a/name"}
+    assert DepthAnythingPrior("a/name", "cpu").identity(None) == {
+        "estimator": "depth_anything", "model": "a/name", "version": installed_version("transformers"),
+    }  # fmt: skip

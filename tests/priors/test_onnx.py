@@ -67,6 +67,10 @@ def test_another_size_is_resized_in_and_out(network, small_gray_scene):
     assert np.allclose([half[0, 0], half[-1, -1]], [means[0, 0], means[-1, -1]], atol=1e-6)  # bilinear out
     wide = network([1, 3, "h", "w"], options={"width": 24, "multiple": 6})
     assert np.array_equal(wide.estimate(small_gray_scene, view).values, half)  # 24 × 18
+    for shape in ([1, 3, 18, "w"], [1, 3, "h", 24]):  # an open side follows the fixed one
+        assert np.array_equal(network(shape, options={"multiple": 6}).estimate(small_gray_scene, view).values, half)
+    with pytest.raises(PriorUnavailableError, match=r"24 px wide\n  leave prior\.estimator\.width=48 out"):
+        network([1, 3, "h", 24], options={"width": 48}).prepare()
 
 
 def test_normalization(network, small_scene, small_gray_scene):

@@ -10,6 +10,7 @@ import pytest
 from tdgbench.cells.prior_sources import SOURCES, PriorSource
 from tdgbench.cells.record import Record
 from tdgbench.priors import DepthPrior, PriorError, estimate_all
+from tdgbench.priors.known_depth import doubts_of
 from tdgbench.priors.prior import offers
 from tests.helpers.configs import config
 from tests.helpers.paths import ROOT
@@ -156,3 +157,11 @@ def test_points_of_built_in_scenes_are_not_of_colmap():
     for dataset, remark in (("synthetic", "drawn from true depth"), ("folder", "COLMAP mostly finds them")):
         record = Record("tdg", dataset, "orbit", "colmap", 0, "a", "", prior={"made_from": "points"})
         assert remark in record.prior_source.in_full and not record.prior_source.counts
+
+
+def test_constant_priors_are_doubted(small_gray_scene):
+    """As a network gives outside of what it was trained on; without points, too."""
+    values = np.full((36, 48), 3.0, np.float32)
+    flat = {view.name: DepthPrior(values, "depth") for view in small_gray_scene.train}
+    found = list(doubts_of(flat, replace(small_gray_scene, points=None)))
+    assert len(found) == 1 and found[0].startswith("8 of 8 depth priors have one value only, no shape: ")

@@ -18,9 +18,10 @@ from omegaconf import DictConfig
 from pydantic import TypeAdapter
 
 from tdgbench.bench.failures import error_message
-from tdgbench.bench.options import check_method_name
+from tdgbench.bench.options import OptionError, check_method_name
 from tdgbench.bench.progress import CellProgress, Outcome
 from tdgbench.bench.run_cell import run_cell
+from tdgbench.bench.signature import Problem
 from tdgbench.cells.plan import Jobs, number_of_jobs, plan_of_job, read_plan, swept
 from tdgbench.experiments.experiment import Experiment
 from tdgbench.experiments.sweep.plan import finished_outcomes, plan_before, plan_sweep
@@ -36,6 +37,12 @@ _SCHEMA = TypeAdapter(Outcome)
 
 class Sweep(Experiment):
     """Cells of methods on scenes; the default of `conf/config.yaml`."""
+
+    def check(self, cfg: DictConfig) -> None:
+        super().check(cfg)
+        what = "is an option of experiments (+experiment=NAME); a sweep takes seed=0,1 and scene=A,B with -m"
+        if problems := [Problem(f"study.{name}", what) for name in cfg.study if name != "_target_"]:
+            raise OptionError(problems)
 
     def start(self, cfg: DictConfig) -> None:
         """Write the plan, and end the run here if no job has anything to do."""
