@@ -41,7 +41,8 @@ class Sweep(Experiment):
     def check(self, cfg: DictConfig) -> None:
         super().check(cfg)
         what = "is an option of experiments (+experiment=NAME); a sweep takes seed=0,1 and scene=A,B with -m"
-        if problems := [Problem(f"study.{name}", what) for name in cfg.study if name != "_target_"]:
+        problems = [Problem(f"study.{name}", what) for name in cfg.study if name != "_target_"]
+        if problems and type(self) is Sweep:  # a subclass may have options
             raise OptionError(problems)
 
     def start(self, cfg: DictConfig) -> None:
