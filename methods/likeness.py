@@ -26,7 +26,7 @@ def details(images: Iterable[np.ndarray], valid: Iterable[np.ndarray | None]) ->
         height = height or max(1, round(WIDTH * image.shape[0] / image.shape[1]))
         gray = resize(image.astype(np.float32), WIDTH, height).mean(axis=2, dtype=np.float64)
         if mask is not None:
-            hidden = resize(mask[..., None].astype(np.float32), WIDTH, height)[..., 0] < 1
+            hidden = resize(mask[..., None].astype(np.float32), WIDTH, height)[..., 0] < 1 - 1e-6
             gray[hidden] = 0 if hidden.all() else gray[~hidden].mean()
         row = (gaussian_filter(gray, FINE) - gaussian_filter(gray, COARSE)).ravel()
         row -= row.mean()

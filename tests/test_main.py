@@ -205,6 +205,25 @@ def test_a_file_that_a_choice_of_tdgbench_hides_is_refused(tmp_path):
     assert run.returncode == 1 and run.stderr.replace(f"{tmp_path}/", "") == f"error: budget=demo: {said}\n"
 
 
+@pytest.mark.parametrize(
+    ("words", "last"),
+    [
+        (["budget=lean"], "the last round is at "),
+        (
+            ["budget=paper", "budget.iterations=2000", "budget.density.opacity_reset_every=1900"],
+            "the last round is at 1900",
+        ),
+    ],
+)
+def test_pruning_that_never_begins_is_refused(tmp_path, words, last):
+    words = [*words, "budget.density.screen_radius_prune=true", "budget.density.opacity_reset_every=1900"][
+        : len(words) + 1
+    ]
+    run = command_here(tmp_path, "method=3dgs", "scene=facade", *words)
+    assert run.returncode == 1 and last in run.stderr, run.stderr
+    assert run.stderr.startswith("error: budget.density.screen_radius_prune=true: prunes after the first opacity reset")
+
+
 def test_a_sweep_has_no_options_of_experiments(tmp_path):
     run = command_here(tmp_path, "method=3dgs", "scene=facade", *QUICK, "+study.seeds=[0,1,2]")
     assert run.returncode == 1 and run.stderr.startswith("error: study.seeds: is an option of experi")

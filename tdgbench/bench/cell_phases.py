@@ -6,7 +6,7 @@ import math
 import shutil
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -236,9 +236,10 @@ class CellRun(SetupObserver):
         folder = prior_cache(Path(self.cfg.results))
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            for part in folder.glob(".*.npz"):  # of a killed process
-                if time.time() - part.stat().st_mtime > ABANDONED:
-                    part.unlink(missing_ok=True)
+            for part in folder.glob(".*.npz"):  # of a killed process, or of one that renames it just now
+                with suppress(OSError):
+                    if time.time() - part.stat().st_mtime > ABANDONED:
+                        part.unlink()
             with TemporaryFile(dir=folder):
                 return folder
         except OSError as error:

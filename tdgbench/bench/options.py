@@ -62,7 +62,8 @@ def check_options(cfg: DictConfig) -> None:
     """
     plain, unresolved = _resolved(without_hydra(cfg))
     problems = unresolved or [
-        *_model_problems(plain), *_unread(cfg, plain), *_object_problems(plain, ""), *impossible_numbers(plain, "")
+        *_model_problems(plain), *_unread(cfg, plain), *_object_problems(plain, ""), *impossible_numbers(plain, ""),
+        *_without_effect(plain["budget"]),
     ]  # fmt: skip
     first: dict[str, Problem] = {}
     for problem in problems:
@@ -95,11 +96,15 @@ def check_experiment_options(cfg: DictConfig, options: Callable[..., Any]) -> No
 
 def check_choices(cfg: DictConfig) -> None:
     """Raise OptionError for files of the user's folders that Hydra does not read, as tdgbench has one of their name."""
-    files = [file for folder in _folders_of_user(cfg) for file in folder.glob("*/*.yaml")]
-    unread = [file for file in files if (conf_folder() / file.parent.name / file.name).is_file()]
-    what = "is a choice of tdgbench, so {} is not read; give the file another name"
+    unread = []
+    for file in (file for folder in _folders_of_user(cfg) for file in sorted(folder.glob("*/*.yaml"))):
+        ours = conf_folder() / file.parent.name / file.name
+        if ours.is_file() and ours.read_bytes() != file.read_bytes():
+            unread.append(file)
     if unread:
-        raise OptionError([Problem(file.parent.name, what.format(file), file.stem) for file in unread])
+        more = f" (nor are {len(unread) - 1} more such files)" if unread[1:] else ""
+        what = f"is a choice of tdgbench, so {unread[0]} is not read{more}; give the file another name"
+        raise OptionError([Problem(unread[0].parent.name, what, unread[0].stem)])
 
 
 def check_method_name(cfg: DictConfig, choice: str | None) -> None:
@@ -307,6 +312,21 @@ def _model_problems(plain: dict[str, Any]) -> list[Problem]:
     except ValidationError as error:
         return pydantic_problems(error, "")
     return []
+
+
+def _without_effect(budget: Any) -> Iterator[Problem]:
+    """Yield pruning by screen radius, which begins after the first opacity reset, where no round follows one."""
+    rules = budget.get("density") if isinstance(budget, dict) else None
+    names = ("start", "stop", "every", "opacity_reset_every", "round_recovery")
+    if not isinstance(rules, dict) or not rules.get("screen_radius_prune"):
+        return
+    numbers = [rules.get(name) for name in names]
+    if all(isinstance(number, int) and number > 0 for number in numbers[1:4]) and isinstance(budget["iterations"], int):
+        start, stop, every, reset, recovery = map(int, numbers)  # type: ignore[arg-type]
+        last = min(stop - 1, budget["iterations"] - recovery * every) // every * every
+        if last <= max(start, reset):
+            what = f"prunes after the first opacity reset, at {reset}, but the last round is at {max(last, 0)}"
+            yield Problem("budget.density.screen_radius_prune", what, True)
 
 
 def _unread(cfg: DictConfig, plain: dict[str, Any]) -> Iterator[Problem]:

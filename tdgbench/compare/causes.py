@@ -109,6 +109,8 @@ def find_causes(pairs: Pairs) -> list[Cause]:
         a, b = settings(pair.a.record), settings(pair.b.record)
         a[TRUTH], b[TRUTH] = "A's", truth_in_words(pair)
         for key, (mine, theirs) in differences([a, b], LACKING).items():
+            if LACKING in (mine, theirs) and _is_unlisted(key, a if mine == LACKING else b):
+                continue
             if {mine, theirs} != {LACKING, "null"} and key != (TRAINING, PLANNED):  # `iterations` says it
                 if LACKING in (mine, theirs) and _is_newer(key[1], *((a, b) if mine == LACKING else (b, a))):
                     key = VERSION, key[1]
@@ -121,6 +123,12 @@ def find_causes(pairs: Pairs) -> list[Cause]:
         causes.append(Cause(*key, values, counts.total(), frozenset(cells), alike, in_part))
     kinds = list(KINDS)
     return sorted(causes, key=lambda cause: (kinds.index(cause.kind), -cause.cells, cause.name != MADE_FROM))
+
+
+def _is_unlisted(key: tuple[str, str], lacking: Mapping[tuple[str, str], str]) -> bool:
+    """Return whether a package is one that the version of a record with others did not list."""
+    kind, name = key
+    return name.startswith("packages.") and any(one[0] == kind and one[1].startswith("packages.") for one in lacking)
 
 
 def _is_newer(name: str, lacking: Mapping[tuple[str, str], str], having: Mapping[tuple[str, str], str]) -> bool:

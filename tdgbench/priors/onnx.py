@@ -120,7 +120,7 @@ class OnnxPrior:
         with unavailable("onnx", f"{path} cannot be read as an ONNX model", EXPORT):
             session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         network = network_of(session, path, self.output)
-        if None not in (self.width, network.width):
+        if None not in (self.width, network.width) and self.width != network.width:
             raise PriorUnavailableError(
                 "onnx", f"{path} takes images {network.width} px wide", f"leave prior.estimator.width={self.width} out"
             )

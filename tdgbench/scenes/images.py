@@ -118,5 +118,5 @@ def _area_average(image: np.ndarray, count: int) -> np.ndarray:
     touched = np.minimum(starts[:, None] + np.arange(most), rows - 1)
     ends = np.minimum(edges[1:, None], starts[:, None] + np.arange(most) + 1)
     shares = np.clip(ends - np.maximum(edges[:-1, None], starts[:, None] + np.arange(most)), 0, None) * (count / rows)
-    average = sum(shares[:, i, None, None].astype(np.float32) * image[touched[:, i]] for i in range(most))
-    return np.ascontiguousarray(average, np.float32)
+    touched = np.where(shares > 0, touched, starts[:, None])  # NaN of a row that a part does not touch is not read
+    return np.asarray(sum(shares[:, i, None, None] * image[touched[:, i]] for i in range(most)), np.float32)

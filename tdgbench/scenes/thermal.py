@@ -32,7 +32,7 @@ from tdgbench.scenes.view_images import (
 )
 from tdgbench.text import first_few
 
-LIKE_KELVIN = 233.0  # -40 °C: nothing so cold, in °C, is in a scene that people walk about; objects may be hotter
+LIKE_KELVIN = 233.0  # K are -40 °C; a scene whose coldest point has more than 233 °C is none that people walk about
 SCALED = " TIFF of TlinearGain"  # of 16-bit images that state their scale
 
 

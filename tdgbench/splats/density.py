@@ -52,14 +52,6 @@ class DensityRules:
     gradient: GradientKind = "signed"  # to which `grad_threshold` applies
     filled_at: NonNegativeInt | None = None  # iteration by which there are `max_gaussians`, whatever the threshold
 
-    def __post_init__(self) -> None:
-        """Raise ValueError for pruning by screen radius that never begins."""
-        if self.screen_radius_prune and self.opacity_reset_every >= self.stop:
-            raise ValueError(
-                "budget.density.screen_radius_prune begins after the first opacity reset, but density control stops at "
-                f"{self.stop} and opacity_reset_every is {self.opacity_reset_every}"
-            )
-
     @property
     def uses_absolute(self) -> bool:
         """Whether growth depends on absolute gradients."""

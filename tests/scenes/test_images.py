@@ -86,3 +86,10 @@ def test_smaller_images_are_means_of_equal_areas(size):
     fine = np.kron(image, np.ones((height, width, 1)))  # whose pixels are parts of one of both grids
     expected = fine.reshape(height, 10, width, 12, 2).mean(axis=(1, 3))
     assert np.allclose(resize(image, width, height), expected, atol=1e-6)
+
+
+def test_means_of_ones_are_ones_and_nothing_else_is_read():
+    assert (resize(np.ones((288, 384, 1), np.float32), 160, 120) == 1).all()
+    image = np.ones((10, 12, 1), np.float32)
+    image[9, 11] = np.nan
+    assert np.isnan(resize(image, 7, 9)).sum() == 1

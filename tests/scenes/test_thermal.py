@@ -114,7 +114,7 @@ def test_counts_whose_range_is_stated_are_masked_as_temperatures_are(small_gray_
 
 
 def test_a_hot_object_in_kelvin_is_doubted(small_gray_scene, tmp_path):
-    folder = write(small_gray_scene, tmp_path, lambda degC: (degC + 273.15 + 200 * (degC > 50)).astype(np.float32))
+    folder = write(small_gray_scene, tmp_path, lambda degC: (degC + 273.15 + 200 * (degC > 30)).astype(np.float32))
     (doubt,) = load(folder).doubts
     assert "look like kelvin" in doubt
 

@@ -123,11 +123,6 @@ def test_splits_into_many_stay_below_the_cap(rules):
     assert (change.cloned, change.split) == (0, 0) and len(result.means) == 4  # a split would add two to five
 
 
-def test_pruning_by_screen_radius_that_never_begins_is_refused(rules):
-    with pytest.raises(ValueError, match="screen_radius_prune begins after the first opacity reset"):
-        dataclasses.replace(rules, screen_radius_prune=True, opacity_reset_every=15_000)
-
-
 def test_what_holds_a_camera_does_not_grow(rules):
     density = control(rules)
     optimizer, generator = Adam(density.state, RATES, EXTENT), torch.Generator().manual_seed(0)

@@ -6,10 +6,13 @@ import pytest
 import torch
 
 from tdgbench.splats import Gaussians
+from tdgbench.splats.backends.backend import StateOptions
+from tdgbench.splats.backends.cpu import BACKEND
 from tdgbench.splats.cpu.adam import FLUSH_EVERY
 from tdgbench.splats.gradients import Gradients
 from tdgbench.splats.optimizer import Adam
 from tdgbench.splats.state import TrainingState
+from tdgbench.splats.view import GaussianTensors, Pinhole
 from tests.helpers.deferred import step_gradients
 from tests.helpers.gaussians import RATES, model
 
@@ -84,3 +87,31 @@ def test_a_field_that_an_iteration_lacks_keeps_its_momentum():
     optimizer.flush()
     found = state.split(state.values).extra_fields["sh_rgb"].flatten(1)
     assert (found.double() - peer_value.detach()).abs().max() < 1e-4
+
+
+@pytest.mark.parametrize("width", [40, 64])
+def test_a_state_wider_than_a_fused_step_is_stepped_alike(width):
+    """One step has gradients of a field of so many numbers, the later ones have not."""
+    values = []
+    for count in (1, width):
+        given = model(3, 3, count=40)
+        means = torch.randn(40, 3, generator=torch.Generator().manual_seed(1)) / 2 + torch.tensor([0, 0, 4.0])
+        state = TrainingState(replace(given, means=means, extra_fields={"features": torch.ones(40, count)}))
+        optimizer, camera = Adam(state, RATES, 2.0, {"features": 0.0}), Pinhole(torch.eye(4), K, 64, 48)
+        for step in range(1, 8):
+            got = []
+            options = StateOptions(3, False, hook=with_features if step == 1 else None)
+            render = BACKEND.render_state(state, optimizer.row_steps, camera, options, got.append)
+            (render.image - 0.5).square().sum().backward()
+            assert optimizer.step(got[0], step) is None
+        optimizer.flush()
+        values.append(state.values[:, : state.columns_of("features").start])
+    assert torch.equal(*values)
+
+
+K = torch.tensor([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
+
+
+def with_features(gaussians: Gaussians, degree: int) -> GaussianTensors:
+    tensors = gaussians.activated(degree)
+    return tensors._replace(colors=tensors.colors + 0 * gaussians.extra_fields["features"].sum())

@@ -21,7 +21,7 @@ from tdgbench.scenes.formats import metadata
 from tdgbench.scenes.inputs import is_folder, read_bytes
 
 FISHEYE = "equidistant", "fisheye", "1"  # `distortion_model` of ROS, `fisheye_model` of OpenCV's calibration sample
-PERSPECTIVE = "plumb_bob", "rational_polynomial", "0"
+PERSPECTIVE = "plumb_bob", "rational_polynomial", "brown_conrady", "radtan", "pinhole", "none", "0"
 FOCALS = 0.4, 10.0  # of a lens, × the image's width: 103° to 6°
 EXIF, FOCAL, FOCAL_35MM, X_RESOLUTION, UNIT, WIDTH = 0x8769, 0x920A, 0xA405, 0xA20E, 0xA210, 0xA002  # tags
 UNITS = {2: 25.4, 3: 10.0, 4: 1.0}  # mm; EXIF 2.3, and TIFF/EP for 4
@@ -111,16 +111,17 @@ def _of_opencv(text: str, path: Path) -> CameraEntry:
         (width,), (height,) = numbers("image_?width", ""), numbers("image_?height", "")
         K = np.array(numbers("camera_?matrix")).reshape(3, 3)
         (fx, cx), (fy, cy) = K[0, [0, 2]], K[1, [1, 2]]
-        model = re.search(r"""(?i)\b(?:distortion|fisheye)_?model\b[">:\s]+(\w+)""", text)
-        is_fisheye = model is not None and model[1].lower() in FISHEYE
-        if model is not None and not is_fisheye and model[1].lower() not in PERSPECTIVE:
-            raise ValueError(f"its model {model[1]} is none of {', '.join((*PERSPECTIVE, *FISHEYE))}")
+        model = re.search(r"""(?i)\b(?:distortion|fisheye)_?model\b"?[ \t]*[:>][ \t]*["']?(\w*)""", text)
+        name = "" if model is None else model[1].lower()
+        is_fisheye = name in FISHEYE
+        if name and not is_fisheye and name not in PERSPECTIVE:
+            raise ValueError(f"its model {name} is none of {', '.join((*PERSPECTIVE, *FISHEYE))}")
         k1, k2, p1, p2, *more = numbers(r"dist\w*coeff\w*")
-        if not np.array_equal(K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]) or any(more[4:]):
-            raise ValueError("its matrix is skewed, or it has coefficients beyond k6")
+        if not np.array_equal(K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]) or any(more[0 if is_fisheye else 4 :]):
+            raise ValueError("its matrix is skewed, or it has more coefficients than its model")
     except ValueError as error:
         what = "image_width, image_height, camera_matrix (9 numbers), distortion_coefficients (4, 5 or 8)"
         raise SceneError(f"{path} must hold OpenCV's {what}: {error}") from error
-    name = "OPENCV_FISHEYE" if is_fisheye else "FULL_OPENCV"
+    lens = "OPENCV_FISHEYE" if is_fisheye else "FULL_OPENCV"
     distortion = k1, k2, p1, p2, *([] if is_fisheye else (more + [0.0] * 4)[:4])
-    return CameraEntry(1, name, int(width), int(height), (fx, fy, cx + 0.5, cy + 0.5, *distortion))
+    return CameraEntry(1, lens, int(width), int(height), (fx, fy, cx + 0.5, cy + 0.5, *distortion))

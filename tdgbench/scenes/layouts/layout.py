@@ -221,8 +221,9 @@ def find_masks(
     found = [("mask_path: black hides", view, Mask(path)) for view, path in stated.items()]
     elsewhere = {*stated.values()}
     inside = find_images(folder / MASKS).paths
+    read = {*inside.values()}
     files = _files_below(folder / MASKS, SUFFIXES, set()) if is_there(folder / MASKS) else ()
-    unread = [path.name for path in files if path not in inside.values()]
+    unread = [path.name for path in files if path not in read]
     paths = {one: path for one, path in inside.items() if path not in elsewhere}
     for is_double in (False, True):  # 1.png, and 1.png.png of 1.png
         part = {key(one): path for one, path in paths.items() if (key(one) != one) == is_double}

@@ -152,7 +152,11 @@ class DeferredSteps(RowSteps):
         rows, deferred = self._rows(columns), self._deferred(state.now - 1)
         step = AdamStep(rows, deferred, self._decay, step_sizes, per_bias2, *UPDATE_CONSTANTS)
         observed = StatisticsArrays.of(statistics)
-        bad = _step(gradients, step, observed) if isinstance(gradients, Gradients) else gradients.step(step, observed)
+        bad = (
+            step_computed(gradients, step, observed)
+            if isinstance(gradients, Gradients)
+            else gradients.step(step, observed)
+        )
         since = state.now - self._flushed
         sum_displacements(since, state.now, self._coefficients, np.float32(RHO), self._displacements)
         if since >= FLUSH_EVERY - 1:
@@ -195,7 +199,7 @@ class DeferredSteps(RowSteps):
         return Deferred(last, self._displacements, self._rho_powers, eps)
 
 
-def _step(gradients: Gradients, step: AdamStep, statistics: StatisticsArrays) -> np.ndarray:
+def step_computed(gradients: Gradients, step: AdamStep, statistics: StatisticsArrays) -> np.ndarray:
     """Take a step with computed gradients, and add them to the statistics. Returns what `Blended.step` does."""
     if statistics.active:
         observe_gradients(gradients, statistics)

@@ -239,9 +239,9 @@ def _each_once(experiments: Sequence[Sequence[Cell]]) -> list[Cell]:
 
     found: dict[object, Cell] = {}
     for cell in (cell for cells in sorted(experiments, key=fault) for cell in cells):
-        record, content = cell.record, shared_content(cell.record) or str(cell.folder)
-        place = record.method, record.init, *cell.dataset_and_scene, record.seed, cell.planned_iterations
-        found.setdefault((*place, content), cell)
+        record, content = cell.record, shared_content(cell.record)
+        place = record.method, record.init, *cell.dataset_and_scene, cell.planned_iterations
+        found.setdefault((*place, content or str(cell.folder)), cell)  # of any seed: a copy is no further training
     return list(found.values())
 
 

@@ -67,8 +67,9 @@ def test_a_fisheye_is_one(tmp_path, line):
     (tmp_path / "cv.yml").write_text(text)
     (lens,) = read_calibration(tmp_path / "cv.yml")
     assert lens.model == "OPENCV_FISHEYE" and lens.params == (741.5, 741.5, 330, 264, -0.02, 0.02, 0.003, 0.008)
-    (tmp_path / "cv.yml").write_text(YAML + "distortion_model: plumb_bob\n")
-    assert read_calibration(tmp_path / "cv.yml")[0].model == "FULL_OPENCV"
+    for name in ("plumb_bob", "radtan", '""', ""):
+        (tmp_path / "cv.yml").write_text(f"distortion_model: {name}\n{YAML}")
+        assert read_calibration(tmp_path / "cv.yml")[0].model == "FULL_OPENCV"
 
 
 @pytest.mark.parametrize(
@@ -78,6 +79,7 @@ def test_a_fisheye_is_one(tmp_path, line):
         ("cv.yml", YAML.replace("[ 7.415e+02, 0.", "[ 7.415e+02, 3."), "cv.yml .*its matrix is skewed"),
         ("cv.yml", YAML.replace("e+02, 0.", "e+02"), "cv.yml must hold OpenCV's .*9 numbers"),
         ("cv.yml", YAML.replace("7.415e+02", "-7.415e+02"), "cv.yml: the calibration has the focal length -741.5"),
+        ("cv.yml", YAML + "distortion_model: fisheye\n", "cv.yml .*it has more coefficients than its model"),
         ("cv.yml", YAML + "distortion_model: ds\n", "cv.yml .*its model ds is none of plumb_bob"),
         ("cameras.txt", "1 OPENCV 640 512 700\n", "cameras.txt is damaged: line 1 is no camera"),
         ("cameras.txt", "# nothing\n", "cameras.txt holds no calibration"),

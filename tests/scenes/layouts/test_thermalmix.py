@@ -178,8 +178,15 @@ def test_decomposed_names_have_their_image_before_the_warp(small_gray_scene, tmp
         **{part: [replace(view, name=f"H\u00f6he{view.name}") for view in getattr(small_gray_scene, part)]
            for part in ("train", "test")},
     )  # fmt: skip
-    folder = write_downloaded_thermalmix(scene, tmp_path / "lion", frame=5)
+    folder = write_downloaded_thermalmix(scene, tmp_path / "lion")
+    rng = np.random.default_rng(0)
+    for path in (folder / "warped_thermal").iterdir():  # no constant filler, which is found without the image before
+        image = np.asarray(Image.open(path)).clip(40).astype(np.uint8)
+        image[:, :8] = rng.integers(0, 9, (len(image), 8))
+        Image.fromarray(image).save(path, quality=95)
+        Image.fromarray(image[:, 8:]).resize((64, 64), Image.Resampling.NEAREST).save(folder / "thermal" / path.name)
     masked = [view.valid for view in load(folder).views]
+    assert all(valid is not None and not valid[:, :8].any() for valid in masked)
     for path in [*(folder / "warped_thermal").iterdir(), *(folder / "thermal").iterdir()]:
         path.rename(path.with_name(unicodedata.normalize("NFD", path.name)))
     for view, valid in zip(load(folder).views, masked, strict=True):

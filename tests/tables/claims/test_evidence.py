@@ -99,6 +99,14 @@ def test_no_number_is_over_unlike_trainings(tmp_path):
     assert set(reasons) == {"its seeds are unlike trainings (data.width: 640, 320)"}
 
 
+def test_copies_in_several_experiments_are_one_seed(tmp_path):
+    for seed, name in enumerate(("one", "two", "three")):
+        for method in ("tdg", "msmg"):
+            write(tmp_path / name, method, seed=seed, hashes={"model.ply": ("a" if method == "tdg" else "b") * 64})
+    found = evidence_of([tmp_path / "one", tmp_path / "two", tmp_path / "three"])
+    assert len(found.cells) == 2 and found.is_of_one_seed
+
+
 def test_what_does_not_count(tmp_path):
     write(tmp_path, "tdg", seed=1, status="failed", failure=Failure("train", "ValueError: x", ""))
     changed = {"method": {"lambda_depth": 0.4}}, {"method": {"fourth": 1}}

@@ -15,10 +15,11 @@ import numpy as np
 import torch
 
 from tdgbench.splats.cpu import pool
-from tdgbench.splats.cpu.adam import AdamStep, new_flags
+from tdgbench.splats.cpu.adam import AdamStep, new_flags, step_computed
 from tdgbench.splats.cpu.raster.blend import blend_tiles
 from tdgbench.splats.cpu.raster.blend_backward import fill_slots, slot_size
 from tdgbench.splats.cpu.raster.culling import find_candidates
+from tdgbench.splats.cpu.raster.projection import GATHERED
 from tdgbench.splats.cpu.raster.projection_backward import NO_FUSED_STEP, NO_ROWS, SLOT, FusedStep, projection_backward
 from tdgbench.splats.cpu.raster.projection_forward import project_candidates
 from tdgbench.splats.cpu.raster.tiles import list_by_tile
@@ -94,8 +95,12 @@ class Blended(PendingGradients):
         """Step the Gaussians that some pixel depends on, and add to their statistics.
 
         The step is of the rows that the source reads. Returns (spans, stride) float32: 1 in columns with a gradient
-        that is not finite.
+        that is not finite. Where the rows have more columns than a fused step holds, the gradients are stored first.
         """
+        if padded(step.rows.columns) > GATHERED:
+            computed = self.compute()
+            self.touched = computed.touched
+            return step_computed(computed, step, statistics)
         bad = new_flags(len(self.view.splat_spans), step)
         self.touched = sum(n for _, n in self._run(NO_ROWS, [FusedStep(step, statistics, flags) for flags in bad]))
         return bad
