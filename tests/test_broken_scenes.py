@@ -39,7 +39,7 @@ def test_good_cells_finish_and_the_others_say_why(tmp_path, small_scene):
         ("pipe", "temperature.json is a FIFO, not a file"),
         ("thermal_only", "has no RGB image; a method that trains on RGB cannot use this scene"),
         ("twisted", "images.bin is damaged: the quaternion of image 'view000.png' has length 0; it must be 1"),
-        ("unposed", "has no COLMAP model in sparse/0; run COLMAP on its RGB images first"),
+        ("unposed", "has no COLMAP model in sparse/0; find poses first: tdgbench data prepare does"),
     ):
         (line,) = (line for line in said if f"folder/{scene}," in line)
         assert what in line

@@ -100,6 +100,8 @@ class CellRun(SetupObserver):
     def note(self, field: str, facts: dict[str, Any], notes: Sequence[str] = ()) -> None:
         setattr(self.record, field, {**(getattr(self.record, field) or {}), **facts})
         self.record.notes += notes
+        for note in notes:
+            self.progress.say(note)
 
     def doubt(self, doubts: Sequence[str], folder: Path | None = None) -> None:
         state_doubts(self.record, [*doubts, *self.record.doubts], folder)

@@ -22,6 +22,8 @@ def run_facts(plan: Plan, records: Sequence[Record]) -> list[tuple[str, list[str
     """Return titles and texts on finished cells: one text, or one for each value, with the cells that have it."""
     commands = [f"{one.words} ({one.date})" for one in plan.commands]
     facts = {"budget": budgets(records), "seeds": _seeds(records), **FACTS}
+    if any(record.thermal_camera for record in records):
+        facts["thermal camera"] = _thermal_camera
     return [
         ("commands; a cell is of the last that ran it" if len(commands) > 1 else "command", commands or [NOT_STATED]),
         *((title, said(fact, records)) for title, fact in facts.items() if records),
@@ -72,6 +74,16 @@ def _prior(record: Record) -> str:
     words = (source.in_full or record.prior_made_from) + source.in_report
     made = f", made from {words}" if words else ""
     return f"{record.prior.get('estimator', 'unknown')}{f' ({model})' if model else ''}{made}"
+
+
+def _thermal_camera(record: Record) -> str:
+    """Say what its estimate changed.
+
+    >>> _thermal_camera(Record("mine", "", "a", "", 0, "", "", notes=["thermal camera: images stay as they are"]))
+    'images stay as they are'
+    """
+    notes = [note.partition(": ")[2] for note in record.notes if note.startswith("thermal camera: ")]
+    return "; ".join(notes) or "taken for ideal"
 
 
 def _initial_points(record: Record) -> str:

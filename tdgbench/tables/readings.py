@@ -17,7 +17,7 @@ from tdgbench.cells.record import Record
 from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.scoring import METRICS
 from tdgbench.tables import methods
-from tdgbench.tables.likeness import setups
+from tdgbench.tables.likeness import setups, was_disturbed
 from tdgbench.tables.long_table import method_label, metric_value, planned_iterations
 from tdgbench.tables.measures import (
     AVERAGE,
@@ -86,7 +86,7 @@ def reading_label(record: Record) -> str:
 def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
     """Return one row per finished cell and known number: method, iterations, PLACE, metric, value.
 
-    setup: what has to agree between cells that compare in this number.
+    setup: what has to agree between cells that compare in this number. Times of a busy machine are left out.
     """
     records, rows = [record for record in records if record.failure is None], []
     names = (*SCORES, *(described.name for described in OF_RECORDS))
@@ -96,7 +96,7 @@ def reading_cells(records: Iterable[Record]) -> pd.DataFrame:
         rows += [
             [reading_label(record), planned_iterations(record), *place, alike[name == HOURS.name], name, value]
             for name, value in values.items()
-            if not np.isnan(value)
+            if not np.isnan(value) and not (name == HOURS.name and was_disturbed(record))
         ]
     return pd.DataFrame(rows, columns=["method", "iterations", *PLACE, "metric", "value"])
 

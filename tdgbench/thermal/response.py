@@ -107,7 +107,7 @@ def corrected(scene: Scene, camera: ThermalCamera) -> Corrected:
         )
     _, scale, zero = units(scene)
     if camera.is_ideal:
-        return Corrected(replace(scene, notes=[*scene.notes, _summary(camera), *camera.notes]), IDEAL)
+        return Corrected(replace(scene, notes=[*scene.notes, "training views stay as they are", *camera.notes]), IDEAL)
     values = {}
     for view in scene.train:
         shown = scale * view.thermal.mean(axis=2, dtype=np.float64) + zero

@@ -42,7 +42,7 @@ def test_an_ideal_camera_leaves_every_byte(drifting_scene, drifting_camera):
     )  # fmt: skip
     found = corrected(replace(drifting_scene, temperature=TemperatureRange(-9.39, 40.37)), ideal)
     assert found.response == IDEAL and found.scene.fingerprint == drifting_scene.fingerprint
-    assert found.scene.train == drifting_scene.train and "corrected for" in found.scene.notes[-1 - len(ideal.notes)]
+    assert found.scene.train == drifting_scene.train and "stay as they are" in found.scene.notes[-1 - len(ideal.notes)]
 
 
 def test_nothing_is_clipped(drifting_scene, wide_camera):
