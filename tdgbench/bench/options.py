@@ -317,16 +317,17 @@ def _model_problems(plain: dict[str, Any]) -> list[Problem]:
 def _without_effect(budget: Any) -> Iterator[Problem]:
     """Yield pruning by screen radius, which begins after the first opacity reset, where no round follows one."""
     rules = budget.get("density") if isinstance(budget, dict) else None
-    names = ("start", "stop", "every", "opacity_reset_every", "round_recovery")
     if not isinstance(rules, dict) or not rules.get("screen_radius_prune"):
         return
-    numbers = [rules.get(name) for name in names]
-    if all(isinstance(number, int) and number > 0 for number in numbers[1:4]) and isinstance(budget["iterations"], int):
-        start, stop, every, reset, recovery = map(int, numbers)  # type: ignore[arg-type]
-        last = min(stop - 1, budget["iterations"] - recovery * every) // every * every
-        if last <= max(start, reset):
-            what = f"prunes after the first opacity reset, at {reset}, but the last round is at {max(last, 0)}"
-            yield Problem("budget.density.screen_radius_prune", what, True)
+    names = ("start", "stop", "every", "opacity_reset_every", "round_recovery")
+    numbers = [budget.get("iterations"), *map(rules.get, names)]
+    if not all(isinstance(number, int) for number in numbers) or rules["every"] < 1:
+        return  # others say what is wrong
+    iterations, start, stop, every, reset, recovery = cast(list[int], numbers)
+    last = min(stop - 1, iterations - recovery * every) // every * every
+    if last <= max(start, reset):
+        what = f"prunes after the first opacity reset, at {reset}, but the last round is at {max(last, 0)}"
+        yield Problem("budget.density.screen_radius_prune", what, True)
 
 
 def _unread(cfg: DictConfig, plain: dict[str, Any]) -> Iterator[Problem]:

@@ -143,20 +143,19 @@ def _without_copies(cells: list[Cell], problems: list[str]) -> list[Cell]:
 
     So are scores of one folder of renders under several seeds. Problems are added.
     """
-    kept: list[Cell] = []
     firsts: dict[tuple[str, ...], Cell] = {}
+    copies = set[Path]()
     for cell in sorted(cells, key=lambda one: one.record.seed):
         content, column = shared_content(cell.record), method_label(cell.record, with_init=True)
-        first = cell
-        if content and cell.record.failure is None:
-            first = firsts.setdefault((column, *cell.dataset_and_scene, content), cell)
-        if first is cell:
-            kept.append(cell)
-        else:
+        if not content or cell.record.failure is not None:
+            continue
+        first = firsts.setdefault((column, *cell.dataset_and_scene, content), cell)
+        if first is not cell:
+            copies.add(cell.folder)
             problems.append(
                 f"{cell.record.title}: its files are those of seed {first.record.seed}; both count as one seed"
             )
-    return [cell for cell in cells if cell in kept]
+    return [cell for cell in cells if cell.folder not in copies]
 
 
 def _view_problems(cell: Cell) -> list[str]:
