@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from filecmp import cmp
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, cast
@@ -99,7 +100,7 @@ def check_choices(cfg: DictConfig) -> None:
     unread = []
     for file in (file for folder in _folders_of_user(cfg) for file in sorted(folder.glob("*/*.yaml"))):
         ours = conf_folder() / file.parent.name / file.name
-        if ours.is_file() and ours.read_bytes() != file.read_bytes():
+        if ours.is_file() and not cmp(ours, file, shallow=False):
             unread.append(file)
     if unread:
         more = f" (nor are {len(unread) - 1} more such files)" if unread[1:] else ""

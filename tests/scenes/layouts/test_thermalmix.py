@@ -133,7 +133,7 @@ def test_what_is_missing_is_named(small_gray_scene, tmp_path):
     with pytest.raises(SceneError, match="has no RGB image"):
         _ = load(folder).views[0].rgb
     shutil.rmtree(folder / "colmap_sparse")
-    with pytest.raises(SceneError, match=r"no COLMAP model in colmap_sparse/0; run COLMAP.*read as ThermalMix"):
+    with pytest.raises(SceneError, match=r"no COLMAP model in colmap_sparse/0; find poses.*read as ThermalMix"):
         load(folder)
     shutil.rmtree(folder / "warped_thermal")
     (folder / "warped_thermal").mkdir()
