@@ -34,7 +34,7 @@ from tdgbench.cells.renders import write_parts
 from tdgbench.files import whole_folder
 from tdgbench.scenes import Dataset, Scene, SceneError
 from tdgbench.scenes.datasets import Outline, outline_of
-from tdgbench.scenes.images import in_pseudo_colour
+from tdgbench.scenes.images import degC_of_values
 from tdgbench.scoring import Scorer, mean_scores
 from tdgbench.scoring.scorer import MetricFault
 from tdgbench.splats.ply import save_ply
@@ -151,8 +151,7 @@ class CellRun(SetupObserver):
         describe_scene(self.record, scene, scorer, self.cfg.backend.name)
         priors = self._prior_cache()
         ready = set_up(self.cfg, scene, method=cell.method, skips=cell.skips, prior_cache=priors, observer=self)
-        span, is_gray = ready.scored.temperature, not (ready.scored.in_palette or in_pseudo_colour(ready.scored.test))
-        self.record.temperature_range = None if span is None or not is_gray else [span.min, span.max]
+        self.record.temperature_range = degC_of_values(ready.scored)
         self._warn_if_slow(ready.trainer)
         method = ready.trainer.method
         if not method.trains:

@@ -15,7 +15,7 @@ from tdgbench.scenes.formats import MOST_COUNTS, Decoded, agreed_scale, decode, 
 from tdgbench.scenes.temperature import TEMPERATURES, Radiometry
 
 if TYPE_CHECKING:
-    from tdgbench.scenes.scene import View
+    from tdgbench.scenes.scene import Scene, View
 
 
 def read_image(path: Path) -> np.ndarray:
@@ -64,6 +64,12 @@ def is_gray(image: np.ndarray) -> bool:
 def in_pseudo_colour(views: Iterable[View]) -> list[str]:
     """Return names of the views whose thermal images are pseudo-colour: their values are no temperatures."""
     return [view.name for view in views if not is_gray(view.thermal)]
+
+
+def degC_of_values(scene: Scene) -> list[float] | None:
+    """Return °C of a scene's thermal values 0 and 1; None if they are not known, or pseudo-colour."""
+    span, is_gray = scene.temperature, not (scene.in_palette or in_pseudo_colour(scene.test))
+    return None if span is None or not is_gray else [span.min, span.max]
 
 
 def with_channels(image: np.ndarray, channels: int) -> np.ndarray:

@@ -20,7 +20,7 @@ from tdgbench.cells.read_files import MOST_PIXELS
 from tdgbench.cells.record import Record
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.datasets import outline_of
-from tdgbench.scenes.images import in_pseudo_colour
+from tdgbench.scenes.images import degC_of_values
 from tdgbench.scenes.synthetic import SyntheticDataset
 from tdgbench.text import first_few
 from tdgbench.verify.problems import NotCheckedError
@@ -75,10 +75,8 @@ class TrueData:
                 if view.camera.width * view.camera.height > MOST_PIXELS:
                     raise ValueError(f"{view.name} would have {view.camera.width}×{view.camera.height} px")
             scene = outline.read()
-            is_gray = not (scene.in_palette or in_pseudo_colour(scene.test))
-            span = scene.temperature if is_gray else None
             images = {view.name: truth_of(view) for view in scene.test}
-            self._read[key] = Truth(images, None if span is None else [span.min, span.max], scene.dataset)
+            self._read[key] = Truth(images, degC_of_values(scene), scene.dataset)
         return self._read[key]
 
     def _spend(self, loader: dict[str, Any]) -> None:
