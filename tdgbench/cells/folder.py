@@ -82,6 +82,11 @@ def shared_content(record: Record) -> str:
     return json.dumps([files, record.truth], sort_keys=True) if files else ""
 
 
+def is_same_training(record: Record, other: Record) -> bool:
+    """Return whether all files of two cells but the scores are equal, the log with its times among them."""
+    return {**record.hashes, VIEWS_FILE: ""} == {**other.hashes, VIEWS_FILE: ""}
+
+
 @dataclass(frozen=True)
 class CellFolder:
     """A cell: its folder and its record. True depths, true temperatures and training images are not among its files."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import NamedTuple
 
+from tdgbench.cells.folder import is_same_training
 from tdgbench.cells.paths import VIEWS_FILE
 from tdgbench.cells.record import Record
 from tdgbench.tables.results import Cell
@@ -23,9 +24,8 @@ class ComparedCell(NamedTuple):
 
     @property
     def is_one_training(self) -> bool:
-        """Whether all files but the scores are equal, the log with its times among them: `score` and copies do that."""
-        a, b = ({**cell.record.hashes, VIEWS_FILE: ""} for cell in self)
-        return a == b and len(a) > 1
+        """Whether both are of one training, as `score` and copies make them, by files that are more than scores."""
+        return bool({*self.a.record.hashes} - {VIEWS_FILE}) and is_same_training(self.a.record, self.b.record)
 
 
 @dataclass(frozen=True)

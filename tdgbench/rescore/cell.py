@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tdgbench.cells.cell_tables import write_views
-from tdgbench.cells.folder import CellFolder, hashes_below
+from tdgbench.cells.folder import CellFolder, hashes_below, is_same_training
 from tdgbench.cells.key import cell_key, flat
 from tdgbench.cells.known_classes import UnknownMethodError
 from tdgbench.cells.paths import VIEWS_FILE
@@ -71,11 +71,6 @@ def score_cell(cell: CellFolder, target: Path, scorer: Scorer, metrics: dict[str
         new.notes = [*record.notes, f"scored again: protocol {new.protocol}, trained with {record.protocol or 'none'}"]
     _write(cell, target, new, rows)
     return {metric.name: new.scores[metric.name] for metric in todo}
-
-
-def is_same_training(record: Record, other: Record) -> bool:
-    """Return whether all files of two finished cells but their scores are equal."""
-    return {**record.hashes, VIEWS_FILE: ""} == {**other.hashes, VIEWS_FILE: ""}
 
 
 def _earlier_scores(cell: CellFolder, target: Path, new: Record) -> EarlierScores:

@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from tdgbench.bench.failures import error_message, message, place_of
 from tdgbench.bench.options import check_options
 from tdgbench.bench.run_cell import cell_lock
-from tdgbench.cells.folder import CellFolder, read_cells
+from tdgbench.cells.folder import CellFolder, is_same_training, read_cells
 from tdgbench.cells.key import as_json, relevant_metrics
 from tdgbench.cells.known_classes import add_trust_arguments, extra_of, trust, trust_also
 from tdgbench.cells.metric_settings import metric_settings, scorer_of
@@ -25,7 +25,7 @@ from tdgbench.cells.record import no_records
 from tdgbench.experiments.sweep.finish import write_all
 from tdgbench.files import whole_folder
 from tdgbench.packs import opened_pack
-from tdgbench.rescore.cell import is_same_training, score_cell
+from tdgbench.rescore.cell import score_cell
 from tdgbench.resources import conf_folder
 from tdgbench.scoring import Scorer
 from tdgbench.scoring.metrics.lpips import LPIPS

@@ -119,10 +119,10 @@ def _area_average(image: np.ndarray, count: int) -> np.ndarray:
     """Return the means (count, W, C) of equal parts of an image's (H, W, C) rows, which share rows at their edges."""
     rows = len(image)
     edges = np.linspace(0, rows, count + 1)
-    starts = np.floor(edges[:-1]).astype(int)
-    most = -(-rows // count) + 1  # rows that a part touches
-    touched = np.minimum(starts[:, None] + np.arange(most), rows - 1)
-    ends = np.minimum(edges[1:, None], starts[:, None] + np.arange(most) + 1)
-    shares = np.clip(ends - np.maximum(edges[:-1, None], starts[:, None] + np.arange(most)), 0, None) * (count / rows)
-    touched = np.where(shares > 0, touched, starts[:, None])  # NaN of a row that a part does not touch is not read
-    return np.asarray(sum(shares[:, i, None, None] * image[touched[:, i]] for i in range(most)), np.float32)
+    first = np.floor(edges[:-1, None]).astype(int)
+    places = first + np.arange(-(-rows // count) + 1)  # of rows that a part may touch
+    touched = np.minimum(edges[1:, None], places + 1) - np.maximum(edges[:-1, None], places)
+    shares = np.clip(touched, 0, None) * (count / rows)
+    places = np.where(shares > 0, places, first)  # NaN of a row that a part does not touch is not read
+    parts = (share[:, None, None] * image[place] for share, place in zip(shares.T, places.T, strict=True))
+    return np.asarray(sum(parts), np.float32)
