@@ -17,7 +17,7 @@ from tdgbench.present.html import filter_tables
 from tdgbench.present.view_pictures import DEPTH, ERROR, middle_view, rendered_depth, scale_of
 from tdgbench.report.panels import curve_panels, error_panel, line_colours, settling_panel
 from tdgbench.scenes.registry import LABELS
-from tdgbench.scoring.metrics.seen_pixels import is_barely_seen
+from tdgbench.scoring.metrics.barely_seen import is_barely_seen
 from tdgbench.tables import methods
 from tdgbench.tables.assumptions import assumed_rows
 from tdgbench.tables.cell_names import cell_title

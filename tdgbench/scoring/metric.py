@@ -37,7 +37,6 @@ class Measure:
     unit: str = ""
     higher_is_better: bool = False
     has_better_side: bool = True  # else no arrow, bold type or verdict
-    of_all_views: bool = False  # one value of the pixels of all test views: no interval over views
     limits: tuple[float, float] = (0.0, math.inf)
     images: str = ""  # the images that the number is of; empty: thermal test views
     latex: str = ""  # label in LaTeX; empty: `label`

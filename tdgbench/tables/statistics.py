@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 
 from tdgbench.cells.record import Record
 from tdgbench.tables.long_table import means, method_label
-from tdgbench.tables.measures import AVERAGE, KEYS, OF_RECORDS, OVERALL, known_measures
+from tdgbench.tables.measures import AVERAGE, KEYS, OF_RECORDS, OVERALL
 from tdgbench.tables.results import Cell
 
 REPLICATES = 1000
@@ -114,9 +114,7 @@ def _values(cell: Cell) -> dict[str, np.ndarray]:
     numbers = {one.name: np.array([one.of_record(cell.record)]) for one in OF_RECORDS if one.in_main_table}
     views = cell.views  # None: `read_results` reports it
     if views is not None and len(views):
-        pooled = {name for name, measure in known_measures().items() if measure.of_all_views}
-        by_view = views.drop(columns=pooled, errors="ignore").dropna(axis=1)
-        numbers |= {str(metric): values.to_numpy() for metric, values in by_view.items()}
+        numbers |= {str(metric): values.to_numpy() for metric, values in views.dropna(axis=1).items()}
     return numbers
 
 

@@ -142,7 +142,7 @@ def test_with_another_number_all_is_computed_from_the_files(msmg, monkeypatch):
     after = record_of(msmg.with_name("b") / MSMG)
     assert after.protocol == before.protocol.replace("1-", "2-")
     assert after.scores["depth_abs_rel"] is None and before.scores["depth_abs_rel"] is not None
-    for name in ("psnr", "ssim", "mae_degC", "channel_psnr", "depth_inconsistency", "barely_seen", "guess_correlation"):
+    for name in ("psnr", "ssim", "mae_degC", "channel_psnr", "depth_inconsistency", "barely_seen"):
         assert after.scores[name] == pytest.approx(before.scores[name], rel=1e-4), name
 
 

@@ -199,8 +199,8 @@ def test_seeds_are_averaged_and_variants_kept_apart(tmp_path):
 
 def test_seeds_without_a_number_are_counted(tmp_path):
     for seed, psnr in enumerate((20.0, 21.0, None)):
-        missing = {} if psnr else {"psnr_barely_seen": "no pixel is barely seen"}
-        write(tmp_path, seed=seed, scores={"psnr_barely_seen": psnr}, missing=missing)
+        missing = {} if psnr else {"depth_abs_rel": "there is no true depth"}
+        write(tmp_path, seed=seed, scores={"depth_abs_rel": psnr}, missing=missing)
     main = build_tables(tmp_path).main.set_index(["scene", "method", "metric"])
-    row = main.loc[("Truck", "tdg", "psnr_barely_seen")]
-    assert np.isnan(row["value"]) and row["reason"] == "in 1 of 3 seeds no pixel is barely seen"
+    row = main.loc[("Truck", "tdg", "depth_abs_rel")]
+    assert np.isnan(row["value"]) and row["reason"] == "in 1 of 3 seeds there is no true depth"

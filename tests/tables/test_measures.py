@@ -12,7 +12,7 @@ def test_the_order_of_rows_on_disk():
     assert (*COLUMNS, *further()) == (
         "psnr", "psnr_right_half", "ssim", "lpips", "train_hours", "channel_psnr", "psnr_affine", "psnr_true",
         "rgb_psnr", "rgb_ssim", "rgb_lpips", "mae_degC", "mae_degC_without_offset", "depth_abs_rel", "floaters",
-        "depth_inconsistency", "barely_seen", "psnr_well_seen", "psnr_barely_seen", "guess_correlation",
+        "depth_inconsistency", "barely_seen",
         "train_psnr", "train_ssim",
     )  # fmt: skip
     assert set(ABLATION) <= set(known_measures())
