@@ -42,12 +42,13 @@ RELEASED_EPSILON = 1e-6  # added to alpha: gaussian_renderer/__init__.py, line 4
 class TDg(ThermalGaussianLosses):
     """L_total = L_thermal + w_decay(t) · λ_depth · L_depth (TDg, eq. 8)."""
 
-    needs_prior = True
-
     lambda_depth: NonNegativeFloat
     depth_reading: Literal["written", "released"]  # written: eq. 3, with its gradient; released: without gradient
     decay: Literal["linear", "switch"]  # linear: eq. 7
     decay_end: NonNegativeFloat  # t_end as a share of all iterations
+
+    def __post_init__(self) -> None:
+        self.needs_prior = self.lambda_depth > 0
 
     def setup(self, context: Context) -> None:
         self.model = context.gaussians()
@@ -84,11 +85,12 @@ class TDg(ThermalGaussianLosses):
 
     def _decide_skip(self, context: Context) -> bool:
         """Decide whether iterations in which the depth loss moves nothing leave it out."""
+        if not self.needs_prior:
+            return True
         iterations = context.budget.iterations
         without, reason = min(iterations, max(0, iterations - self.depth_end + 1)), ""
-        if self.lambda_depth == 0 or self.depth_reading == "released":
-            without = iterations
         if self.depth_reading == "released":
+            without = iterations
             reason = "as released, the depth loss has no gradient: it is added to the loss and moves nothing"
         return context.skips.skip_depth(without, iterations, reason)
 

@@ -120,6 +120,16 @@ def test_the_released_depth_loss_moves_nothing(request, scene_of):
     assert not any("depth" in line.terms for line in log.lines)
 
 
+@pytest.mark.parametrize("skips", [Skips(), Skips(depth=False)])
+def test_a_depth_loss_without_weight_takes_no_prior(small_gray_scene, skips):
+    """It is no method with a prior then: it runs where none is to be had, and no table names one."""
+    without = {"method.method.lambda_depth": 0}
+    trainer, log = trained(small_gray_scene, "tdg", 20, skips=skips, **without)
+    assert not trainer.method.needs_prior and not len(trainer.method.targets) and log.lines
+    assert digest(trainer) == digest(trained(small_gray_scene, "3dgs_smooth", 20)[0])
+    assert trained(small_gray_scene, "tdg", 20)[0].method.needs_prior
+
+
 def test_depth_targets_are_freed_once_they_weigh_nothing(small_gray_scene):
     kept = {end: len(trained(small_gray_scene, "tdg", 12, **{"method.method.decay_end": end})[0].method.targets.made)
             for end in (0.5, 2.0)}  # fmt: skip
