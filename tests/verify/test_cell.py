@@ -104,11 +104,43 @@ def instead(name: str, make: Callable[[Path], object]) -> Tampering:
     return both(remove(name), lambda cell: make(cell / name))
 
 
-def painted(name: str) -> Tampering:
+def pixels(name: str, change: Callable[[np.ndarray], object]) -> Tampering:
+    """Change the values of a picture in place."""
+
     def act(cell: Path) -> None:
         values = np.asarray(Image.open(cell / name)).copy()
-        values[5:15, 5:15] = 255 - values[5:15, 5:15]
+        change(values)
         Image.fromarray(values).save(cell / name)
+
+    return act
+
+
+def painted(name: str) -> Tampering:
+    def negative(values: np.ndarray) -> None:
+        values[5:15, 5:15] = 255 - values[5:15, 5:15]
+
+    return pixels(name, negative)
+
+
+def moved(levels: int, count: int) -> Callable[[np.ndarray], object]:
+    """Move some values of a picture by levels, up or down."""
+
+    def change(values: np.ndarray) -> None:
+        some = values.reshape(-1)[:count]
+        some[:] = np.where(some < 128, some + levels, some - levels)
+
+    return change
+
+
+def better_by(more: float, view: bool = False) -> Tampering:
+    """A better mean PSNR in the record; with that of a view that gives it."""
+
+    def act(cell: Path) -> None:
+        edit(scores__psnr=content_of(cell)["scores"]["psnr"] + more)(cell)
+        if view:
+            table = table_of(cell)
+            old = float(table[1][table[0].index("psnr")])
+            field("psnr", repr(old + more * (len(table) - 1)))(cell)
 
     return act
 
@@ -141,6 +173,8 @@ def turned(camera: dict) -> None:
 TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "score 99": (edit(scores__psnr=99.0), "psnr is 99.0, the mean of views.csv is 1", True),
     "score 99 in both": (both(edit(scores__psnr=99.0), field("psnr", "99")), "psnr is 99.0, the pictures give", True),
+    "a mean that is slightly better": (better_by(1e-4), "the mean of views.csv is", True),
+    "a view that is slightly better": (better_by(1e-4, view=True), f"psnr of {VIEW} is", True),
     "a view twice": (rows(lambda t: t.append(t[1])), f"two rows of {VIEW}", True),
     "an invented view": (rows(lambda t: t.append(["new", *t[1][1:]])), "a row of new, which is no test view", True),
     "no test camera": (cameras(lambda c: c["test"].pop(VIEW)), "views.test is 2, cameras.json has 1", True),
@@ -151,7 +185,7 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
     "temperatures": (edit(temperature_range=[14.0, 15.0]), "mae_degC is 3.", True),
     "depth inconsistency": (field("depth_inconsistency", "0.01"), f"depth_inconsistency of {VIEW} is 0.01, its", True),
     "no column": (rows(lambda t: [row.pop(2) for row in t]), "views.csv has no column ssim", True),
-    "short row": (rows(lambda t: t[1].pop()), "row 2 has 19 fields, the first one 20", True),
+    "short row": (rows(lambda t: t[1].pop()), "row 2 has 16 fields, the first one 17", True),
     "views.csv missing": (remove("views.csv"), "views.csv cannot be read: it is missing", True),
     "a row of the log": (rows(lambda t: t.pop(), "log.csv"), "iterations is 30, log.csv ends at 29", True),
     "log.csv missing": (remove("log.csv"), "log.csv cannot be read: it is missing", True),
@@ -166,6 +200,8 @@ TAMPERINGS: dict[str, tuple[Tampering, str, bool]] = {
         lambda c: shutil.copy(c / "model_rgb.ply", c / "model.ply"), "the model gives (36, 48, 3)", True),
     "model of RGB": (remove("model_rgb.ply"), "model_rgb.ply cannot be read: ", True),
     "render": (painted(f"renders/{VIEW}.png"), f"renders/{VIEW}.png is not what model.ply gives", True),
+    "a pixel by two levels": (pixels(f"renders/{VIEW}.png", moved(2, 1)), "0.1% of the values differ", True),
+    "many pixels by one level": (pixels(f"renders/{VIEW}.png", moved(1, 18)), "1.0% of the values differ", True),
     "render changed": (painted(f"renders/{VIEW}.png"), f"renders/{VIEW}.png has changed", False),
     "RGB render": (painted(f"renders_rgb/{VIEW}.png"), "is not what model_rgb.ply gives", True),
     "target": (painted(f"targets/{VIEW}.png"), f"psnr of {VIEW} is 1", True),
