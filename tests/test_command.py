@@ -11,6 +11,7 @@ from tdgbench import command
 from tdgbench.resources import conf_folder
 from tdgbench.terminal import FULL_ERROR
 from tdgbench.tools import TOOLS, usage
+from tests.helpers.command import tdgbench_here
 
 
 def test_a_run_leaves_the_environment_as_it_was(monkeypatch):
@@ -21,6 +22,15 @@ def test_a_run_leaves_the_environment_as_it_was(monkeypatch):
     with pytest.raises(Exception, match="nosuch"):
         command.run(["nosuch=1"])
     assert os.environ == before
+
+
+def test_a_traceback_is_printed_if_it_is_wanted(monkeypatch, tmp_path):
+    short = tdgbench_here(tmp_path, "nosuch=1")
+    monkeypatch.setenv(FULL_ERROR, "1")
+    long = tdgbench_here(tmp_path, "nosuch=1")
+    assert short.returncode == long.returncode == 1
+    assert short.stderr.startswith("error: nosuch=1") and "Traceback" not in short.stderr
+    assert long.stderr.startswith("Traceback")
 
 
 @pytest.mark.parametrize(

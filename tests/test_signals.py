@@ -138,6 +138,26 @@ with signals.interruptible() as interruption:
 """
 
 
+TWICE = """
+import os, signal, time
+from tdgbench import signals
+with signals.interruptible() as interruption:
+    interruption.begin()
+    for _ in range(2):
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(30)
+        except signals.Interrupted:
+            print("clears up", flush=True)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there are no such signals")
+def test_a_second_signal_ends_it_at_once():
+    run = subprocess.run([sys.executable, "-c", TWICE], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert (run.returncode, run.stdout, run.stderr) == (-signal.SIGTERM, "clears up\n", "")
+
+
 @pytest.mark.skipif(os.name == "nt", reason="there is no timer that sends signals")
 def test_a_signal_that_a_destructor_swallows_is_raised_again_and_nothing_else_printed():
     run = subprocess.run([sys.executable, "-c", SWALLOWED], cwd=ROOT, capture_output=True, text=True, timeout=60)

@@ -7,6 +7,7 @@ import stat
 
 import pytest
 
+from tdgbench.bench import run_cell
 from tdgbench.bench.backend_check import choose
 from tdgbench.cells.folder import hashes_of_content
 from tdgbench.cells.record import read_all
@@ -65,6 +66,29 @@ def test_a_checkpoint_of_other_settings_is_not_used(run, tmp_path, monkeypatch, 
     (record,) = read_all(tmp_path / "single")
     assert record.resumed == []
     assert any("not used: other settings, data or code" in note for note in record.notes) == noted
+
+
+@pytest.mark.parametrize("changed", ["python", "packages", "platform", "cpu", "simd_lanes", "gpu", "backend"])
+def test_a_checkpoint_of_another_machine_or_software_is_not_used(run, tmp_path, monkeypatch, auto_is, changed):
+    auto_is("cpu", "")
+    with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
+        killed_at(5, patch)
+        run(tmp_path, "checkpoint=0")
+    described = run_cell.describe_environment
+    if changed == "backend":
+        auto_is("reference", "")
+    else:
+        monkeypatch.setattr(run_cell, "describe_environment", lambda *given: {**described(*given), changed: {}})
+    assert run(tmp_path).status == "ok"
+    (record,) = read_all(tmp_path / "single")
+    assert record.resumed == [] and any(f"not used: other {changed}" in note for note in record.notes)
+
+
+def test_no_interval_writes_no_checkpoint(run, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch, pytest.raises(PulledPlugError):
+        killed_at(5, patch)
+        run(tmp_path, "checkpoint=null")
+    assert not list(tmp_path.rglob("*.pt"))
 
 
 def test_a_verdict_makes_no_finished_cell_run_again(run, tmp_path, auto_is):

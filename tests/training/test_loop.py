@@ -1,5 +1,4 @@
-import itertools
-import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -62,19 +61,25 @@ def test_every_exact_skip_leaves_the_result_alone(small_gray_scene):
     assert torch.equal(images[2], images[0])
 
 
-def test_the_clock_stands_still_while_someone_looks(small_scene):
+def test_the_clock_stands_still_while_someone_looks(small_scene, monkeypatch):
+    """A step takes a second of two cores; looks take ten, before and after the parts change."""
     trainer = ready_to_train(small_scene, "3dgs", 5)
-    told = []
+    clock, told, step = SimpleNamespace(wall=0.0, processor=0.0), [], trainer.stages[0].step
+    times = SimpleNamespace(perf_counter=lambda: clock.wall, process_time=lambda: clock.processor)
+    monkeypatch.setattr("tdgbench.training.loop.time", times)
+
+    def work(iteration):
+        clock.wall, clock.processor = clock.wall + 1, clock.processor + 2
+        return step(iteration)
 
     def look(log):
         told.append((log.iterations, log.seconds, log.processor_seconds))
-        time.sleep(0.05)
+        clock.wall, clock.processor = clock.wall + 10, clock.processor + 10
 
-    log = train(trainer, after_iteration=look)
-    assert [iteration for iteration, *_ in told] == [1, 2, 3, 4, 5]
-    assert told[-1][1] <= log.seconds < told[-1][1] + 0.05
-    busy = [0.0, *(processor for *_, processor in told)]
-    assert all(before < after for before, after in itertools.pairwise(busy)) and log.processor_seconds >= busy[-1]
+    trainer.stages[0] = trainer.stages[0]._replace(step=work)
+    log = train(trainer, after_iteration=look, before_update=look)
+    assert told == [(i, i, 2 * i) for i in range(1, 6) for _ in range(2)]
+    assert (log.seconds, log.processor_seconds) == (5, 10)
 
 
 def test_what_is_no_step_is_named(small_gray_scene):

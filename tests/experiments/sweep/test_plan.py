@@ -18,8 +18,9 @@ from tests.helpers.configs import QUICK, config
 
 def test_a_sweep_talks_without_a_terminal(tmp_path, data_root):
     sweep = ("-m", *QUICK, f"data.root={data_root}", "method=3dgs", "scene=turntable")
-    first = command_here(tmp_path, *sweep, "seed=1,2")
+    first = command_here(tmp_path, *sweep, "seed=1,2", "threads=3")
     assert first.returncode == 0, first.stderr[-3000:]
+    assert [one.environment["threads"] for one in read_all(tmp_path / "results" / "single")] == [3, 3]
     assert "single: 2 cells, 0 of them without data\n" in first.stderr
     title = "3dgs on synthetic/turntable, colmap, seed 1"
     assert re.search(rf"^{title}: starts, at most 12 iterations on 8 training views$", first.stderr, re.MULTILINE)
