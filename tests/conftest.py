@@ -15,6 +15,7 @@ import omegaconf.omegaconf
 import pytest
 import torch
 import yaml
+from hypothesis import HealthCheck, settings
 from omegaconf._utils import get_yaml_loader
 
 from tdgbench.bench.backend_check import choose
@@ -28,6 +29,12 @@ from tests.helpers.cells import small_cells
 from tests.helpers.masks import masked_scene, with_garbage
 from tests.helpers.paths import SHARED, lpips_backbone
 from tests.helpers.scenes import small_dataset
+
+# The same examples in each run, whatever their time; nothing is written into the checkout.
+settings.register_profile(
+    "same", derandomize=True, database=None, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+settings.load_profile("same")
 
 
 @pytest.fixture(scope="session", autouse=True)

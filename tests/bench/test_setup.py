@@ -5,8 +5,10 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
 from tdgbench.bench.setup import SetupObserver, _read_images, loader_of, set_up
+from tdgbench.cells.key import flat
 from tdgbench.scenes import SceneError
 from tdgbench.training.skips import Skips
 from tests.helpers.configs import SMALL, config
@@ -63,3 +65,14 @@ def test_an_observer_sees_phases_and_facts(data_root, tmp_path):
     ]
     assert not first.prior.taken and again.prior.saved == f"{len(scene.train)} estimates"
     assert again.rgb.taken and again.rgb.reason == "the method trains on thermal images alone"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("init=random",), ("init=random_released",), ("init=random_box",), ("prior=synthetic",), ("prior=marigold",),
+     ("dataset=drifting",)],
+)  # fmt: skip
+def test_what_draws_has_the_seed_of_the_cell(words):
+    group = words[0].partition("=")[0]
+    options = flat(OmegaConf.to_container(config(*words, "seed=3")[group], resolve=True))
+    assert [value for name, value in options.items() if name.rpartition(".")[2] == "seed"] == [3]

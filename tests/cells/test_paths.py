@@ -31,7 +31,7 @@ NAMES = st.one_of(st.text("ab_ ./~-,=[ü\u0308", max_size=6), st.text(max_size=3
 CELLS = st.tuples(NAMES, NAMES, NAMES, NAMES, st.integers(-(10**9), 10**9), NAMES)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(CELLS, CELLS, st.lists(st.booleans(), min_size=6, max_size=6))
 def test_different_cells_never_share_a_folder(one, other, differs):
     other = tuple(b if d else a for a, b, d in zip(one, other, differs, strict=True))

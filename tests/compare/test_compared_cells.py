@@ -89,19 +89,14 @@ def test_a_seed_that_failed_on_one_side_is_named(tmp_path, capsys):
     assert "failed in A, not in B: tdg on RGBT-Scenes/Truck, colmap, seed 2" in capsys.readouterr().out
 
 
-def test_a_seed_that_failed_on_one_side_and_is_absent_on_the_other_is_named(tmp_path, capsys):
+@pytest.mark.parametrize(("where", "said"), [("b", "in B, not in A"), ("ab", "in A and B")])
+def test_a_seed_that_failed_and_has_no_partner_is_named(tmp_path, capsys, where, said):
     a, b = two_experiments(tmp_path, [20.0], [20.0])
-    write(b, seed=1, status="failed", failure=Failure("train", "ValueError: no", ""), scores={})
+    failure = Failure("train", "ValueError: no", "")
+    for name in where:
+        write({"a": a, "b": b}[name], seed=1, status="failed", failure=failure, scores={})
     main([str(a), str(b)])
-    assert "failed in B, not in A: tdg on RGBT-Scenes/Truck, colmap, seed 1 (failed in train" in capsys.readouterr().out
-
-
-def test_a_seed_that_failed_on_both_sides_is_named(tmp_path, capsys):
-    a, b = two_experiments(tmp_path, [20.0], [20.0])
-    for folder in (a, b):
-        write(folder, seed=1, status="failed", failure=Failure("train", "ValueError: no", ""), scores={})
-    main([str(a), str(b)])
-    assert "failed in A and B: tdg on RGBT-Scenes/Truck, colmap, seed 1 (failed in train" in capsys.readouterr().out
+    assert f"failed {said}: tdg on RGBT-Scenes/Truck, colmap, seed 1 (failed in train" in capsys.readouterr().out
 
 
 def test_where_rules_ended_trainings_is_an_outcome(tmp_path, capsys):

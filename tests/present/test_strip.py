@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from PIL import Image
 
 from tdgbench.cells.folder import CellFolder
@@ -22,7 +23,9 @@ def drawn_cell(folder: Path, mode="L", **fields) -> CellFolder:
     return CellFolder(folder, record(**fields))
 
 
-def test_a_picture_that_is_unusable_is_na(tmp_path, small_results):
+def test_a_picture_that_is_unusable_is_na(tmp_path, small_results, monkeypatch):
+    titles, set_title = [], Axes.set_title
+    monkeypatch.setattr(Axes, "set_title", lambda axes, text, **kw: titles.append(text) or set_title(axes, text, **kw))
     experiment = Path(shutil.copytree(small_results, tmp_path / "single"))
     for path in experiment.rglob("msmg/**/renders/*.png"):
         path.write_bytes(b"\x89PNG")
@@ -30,6 +33,7 @@ def test_a_picture_that_is_unusable_is_na(tmp_path, small_results):
     assert draw_strip(read_results(experiment).finished, tmp_path / "strip.png")
     with Image.open(tmp_path / "strip.png") as picture:
         assert picture.width > picture.height > 100
+    assert {title.partition(",")[0] for title in titles if title.endswith(": picture n/a")} == {"msmg", "tdg"}
     assert not draw_strip([], tmp_path / "strip.png")
 
 

@@ -138,7 +138,7 @@ def test_several_cameras(backend):
 
 
 @pytest.mark.parametrize("backend", FAST_BACKENDS)
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10_000), spread=st.floats(-6, 0.5), degree=st.sampled_from([None, 0, 3]))
 def test_random_scenes(backend, seed, spread, degree):
     parameters = random_gaussians(40, seed, degree, 1)

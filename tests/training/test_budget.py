@@ -1,9 +1,11 @@
 import pytest
 from hydra.utils import instantiate
+from omegaconf import OmegaConf
 
 from tdgbench.training.budget import RULES
 from tdgbench.training.loop import train
 from tests.helpers.configs import config
+from tests.helpers.paths import ROOT
 from tests.helpers.training import ready_to_train
 
 
@@ -43,6 +45,38 @@ def test_schedules_of_methods_do_not_outlast_a_training():
 def test_the_published_protocol_has_no_rule():
     assert list(RULES) == ["harmonics", "points", "growth", "pixels", "settling", "plateau"]
     assert {name: config("budget=paper").budget[name] for name in RULES} == dict.fromkeys(RULES)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "phrase"),
+    [
+        ("points.z", 8, "more than eight standard deviations"), ("points.largest", 64, "squares of 1 to 64 px"),
+        ("points.most", 0.5, "kept where more than half would be"),
+        ("growth.views", 10, "renders ten training views"), ("growth.z", 4, "more than four standard deviations"),
+        ("growth.share", 0.85, "as many as make up 85 %"), ("growth.clearance", 3, "within three standard deviations"),
+        ("pixels.largest_scale", 8, "up to 1/8 of their size"), ("pixels.until", 0.4, "after 40 % of the schedule"),
+        ("settling.share", 0.1, "A tenth of the training views is held out"),
+        ("settling.fewest", 2, "at least two and at most"), ("settling.most", 8, "at least two and at most eight"),
+        ("settling.every", 50, "scored every 50 iterations"), ("settling.horizon", 300, "once 300 more would gain"),
+        ("settling.gain", 0.15, "less than 0.15 dB by the slope"), ("settling.slope_checks", 12, "at least twelve"),
+        ("settling.since", 0.33, "the last two thirds of the iterations"),
+        ("settling.most_growth", 0.05, "grow by more than 5 % in 300 iterations"),
+        ("settling.growth_checks", 6, "grow by more than 5 % in 300 iterations"),
+        ("settling.checks", 3, "three checks that gain less than"),
+        ("settling.tail", 0.1, "fall to a tenth within a tenth of the iterations so far"),
+        ("settling.slowdown", 0.1, "fall to a tenth within a tenth of the iterations so far"),
+        ("iterations", 15_000, "training takes all 15 000 iterations"),
+        ("expected_iterations", 3000, "here of 3 000 iterations"), ("sh_every", 1000, "by one every 1 000 iterations"),
+        ("rates.log_scales", 1.5 * 5e-3, "1.5 times as fast"), ("rates.quats", 1.5 * 1e-3, "1.5 times as fast"),
+        ("rates.sh_rest", 4 * 2.5e-3 / 20, "above degree 0 four times"),
+        ("harmonics.every", 500, "rises every 500"), ("harmonics.gain", 0.1, "0.1 dB is the limit of settling"),
+        ("background", "mean", "over the mean of the training images"), ("lift_dark_every", 10, "every ten iterations"),
+    ],
+)  # fmt: skip
+def test_the_lean_budget_is_that_of_its_page(option, value, phrase):
+    page = " ".join((ROOT / "docs" / "skips.md").read_text(encoding="utf-8").replace("*", "").split())
+    assert phrase in page
+    assert OmegaConf.select(config("budget=lean").budget, option) == pytest.approx(value)
 
 
 def test_no_rule_ends_a_trial():

@@ -4,7 +4,7 @@ from functools import cache
 
 import pytest
 from hydra.utils import instantiate
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tdgbench.training.budget import PlateauRule
@@ -82,7 +82,7 @@ ANY_LENGTH = st.builds(
 
 @pytest.mark.parametrize("budget", ["paper", "short", "demo"])
 @given(length=ANY_LENGTH)
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=300)
 def test_no_length_is_a_bad_one(budget, length):
     """Around multiples of 100, 500 and 3 000: the model that is scored has recovered from the last density control."""
     rules = _rules(budget)

@@ -5,12 +5,13 @@ import pytest
 import torch
 
 from tdgbench.splats.cpu import pool
+from tdgbench.splats.cpu.losses import photometric
 from tdgbench.splats.view import Render
 from tdgbench.training.loop import train
 from tdgbench.training.method import Step
 from tdgbench.training.part import NonFiniteError
 from tdgbench.training.skips import Skips
-from tests.helpers.training import digest, ready_to_train, trained
+from tests.helpers.training import OFTEN, digest, ready_to_train, trained
 from tests.helpers.waits import Reads
 
 METHODS = ["tdg", "msmg", "3dgs"]
@@ -111,3 +112,16 @@ def test_the_psnr_of_a_masked_render_is_that_of_its_valid_pixels():
     valid = torch.tensor([[True, False], [True, True]])
     step = Step(image.sum(), {}, Render(image, None, torch.zeros(2, 2)), target, valid)
     assert step.psnr() == pytest.approx(20, abs=1e-4)
+
+
+def test_targets_are_kept_prepared_while_there_are_few_gaussians(small_gray_scene, monkeypatch):
+    """Of millions of Gaussians a training holds no second copy of its images."""
+    kept = []
+    for more in (1, 10**6):
+        trainer = ready_to_train(small_gray_scene, "3dgs", 60, *OFTEN)
+        before = len(trainer.method.model)
+        monkeypatch.setattr(photometric, "MANY", before + more)
+        train(trainer)
+        assert len(trainer.method.model) > before + 1
+        kept.append(photometric._PREPARED.bytes > 0)
+    assert kept == [False, True]

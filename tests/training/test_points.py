@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from tdgbench.scenes import Camera
 from tdgbench.training.images import RGB, THERMAL
 from tdgbench.training.points import PointRule, squares_without_detail
-from tests.helpers.configs import config
 from tests.helpers.waves import view, wave
 
 RULE = PointRule(z=8, largest=32, most=1.0)
@@ -33,7 +32,7 @@ def divided(image, least, x, y, side):
     return ([one for squares, _ in parts for one in squares] if has_detail else [(x, y, side)]), has_detail
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(1, 3), st.floats(0, 3), st.integers(0, 99))
 def test_squares_are_those_of_a_recursion(width, height, channels, least, seed):
     rng = np.random.default_rng(seed)
@@ -114,7 +113,3 @@ def test_where_most_points_have_detail_all_are_kept():
     assert 0.05 < share < 0.5
     assert replace(RULE, most=share - 0.01).kept_points(wall(), views, THERMAL) is None
     assert replace(RULE, most=share + 0.01).kept_points(wall(), views, THERMAL).mean() == share
-
-
-def test_lean_has_the_rule():
-    assert config("budget=lean").budget.points.z == 8 and config("budget=paper").budget.points is None

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from hypothesis import HealthCheck, given, seed, settings
+from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
 from tdgbench.scenes import SceneError
@@ -171,7 +171,7 @@ def test_binary_files_come_before_text(models, tmp_path):
 
 
 @seed(0)
-@settings(max_examples=100, deadline=None, database=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100)
 @given(st.sampled_from(FORMATS), st.integers(0, 2**32), st.integers(1, 8))
 def test_changed_bytes_give_a_model_or_one_error(models, tmp_path, kind, number, count):
     folder = copied(models[kind], tmp_path / "model")

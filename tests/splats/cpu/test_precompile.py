@@ -10,6 +10,7 @@ from tests.helpers.paths import ROOT
 SAME_TYPES = """
 import torch
 from hydra.utils import instantiate
+from tdgbench.splats.cpu.losses.photometric import photometric_band
 from tdgbench.splats.cpu.precompile import compile_last_kernels
 from tdgbench.splats.cpu.raster.blend import make_blend
 from tdgbench.splats.cpu.raster.blend_backward import make_blend_backward
@@ -25,7 +26,9 @@ compile_kernels({1}, budget, "cpu")
 kernels = [projection_backward]
 for depth in (False, True):
     kernels += [make_blend(1, depth), make_blend_backward(1, depth, False)]
-print(of_depth, [len(kernel.signatures) for kernel in kernels])
+compile_kernels({1}, budget, "cpu", masked=True)
+kinds = {str(signature[3]) for signature in photometric_band.signatures}
+print(of_depth, [len(kernel.signatures) for kernel in kernels], len(kinds), sum("none" in kind for kind in kinds))
 """
 
 
@@ -34,7 +37,7 @@ def test_what_is_compiled_is_what_training_calls():
         [sys.executable, "-c", SAME_TYPES], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, text=True,
         capture_output=True, timeout=600,
     )  # fmt: skip
-    assert run.stdout.strip() == "[1, 0] [1, 1, 1, 1, 1]", run.stderr[-2000:]
+    assert run.stdout.strip() == "[1, 0] [1, 1, 1, 1, 1] 2 1", run.stderr[-2000:]
 
 
 def test_it_is_done_once(monkeypatch, tmp_path):
