@@ -127,7 +127,7 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     with initialize_config_dir(str(conf_folder()), version_base="1.3"):
-        cfg = compose("config", overrides=args.overrides)
+        cfg = compose("config", overrides=["backend=cpu", *args.overrides])  # whose kernels it times
     parts = measure_step(cfg, args.steps)
     for row in parts.itertuples():
         print(f"{row.part:<20}{row.ms:8.2f} ms {100 * row.share:6.1f} %")

@@ -30,6 +30,7 @@ import torch
 
 from tdgbench import __version__
 from tdgbench.bench.environment import cpu_model
+from tdgbench.children import with_path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ("README.md", "docs/tutorial.md", "docs/report.md")
@@ -67,9 +68,9 @@ def machine() -> str:
 def run(command: str, folder: Path) -> str:
     """Output of a command in `folder`; raises RuntimeError if it fails."""
     start = f'python() {{ "{sys.executable}" "$@"; }}; tdgbench() {{ python -m tdgbench "$@"; }}; set -e\n'
-    variables = {"PYTHONPATH": str(ROOT), "TORCH_HOME": str(folder / ".torch"), "COLUMNS": "120"}
+    variables = {"TORCH_HOME": str(folder / ".torch"), "COLUMNS": "120"}
     done = subprocess.run(
-        ["bash", "-c", start + command], cwd=folder, env={**os.environ, **variables}, text=True,
+        ["bash", "-c", start + command], cwd=folder, env={**with_path(ROOT), **variables}, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
     )  # fmt: skip
     if done.returncode:

@@ -18,6 +18,9 @@ def main() -> int:
 
     0: done. 1: something failed. 2: no such tool. 130 and 143: ended by Ctrl-C and SIGTERM.
     """
+    if os.name == "nt":
+        say("tdgbench runs on Linux and macOS; on Windows, run it in WSL2", "error:", stderr=True)
+        return 1
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # NumPy's and SciPy's; on small matrices its threads only wait
     os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")  # of joblib, about workers that a signal ended
     gc.disable()  # what is imported stays: looking for garbage takes a fifth of an import's time

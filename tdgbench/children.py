@@ -29,6 +29,11 @@ class Ended(NamedTuple):
         return f"it ended by {how}{': ' * bool(last)}{last}"
 
 
+def with_path(folder: Path) -> dict[str, str]:
+    """Return this process's environment, in which Python looks for modules in a folder first."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))}
+
+
 def run_limited(command: Sequence[str], seconds: float, folder: Path) -> Ended:
     """Run a command in a folder. When it ends, after so many seconds, or if interrupted, its group is killed."""
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as errors:

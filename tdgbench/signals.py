@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from types import FrameType
@@ -101,13 +101,18 @@ def end_with_parent() -> None:
     import pycolmap  # noqa: F401 (its import replaces the handlers, see `Interruption.begin`)
 
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    watch(os.getppid(), lambda: os._exit(128 + signal.SIGKILL))
 
-    def watch() -> None:
-        while os.getppid() == parent.pid:
+
+def watch(parent: int, end: Callable[[], object]) -> None:
+    """Call a function, in a thread, once the process `parent` is no longer the parent of this one."""
+
+    def look() -> None:
+        while os.getppid() == parent:
             time.sleep(WATCH_SECONDS)
-        os._exit(128 + signal.SIGKILL)
+        end()
 
-    threading.Thread(target=watch, name="parent", daemon=True).start()
+    threading.Thread(target=look, name="parent", daemon=True).start()
 
 
 def _report_unraisable(given: Any) -> None:

@@ -29,7 +29,7 @@ DOORS = {
         "distribution('tdgbench').read_text": OURS,
         "subprocess.run": "git, in tdgbench's checkout",
     },
-    "tdgbench/bench/environment.py": {"path.read_bytes": OURS},
+    "tdgbench/bench/environment.py": {"path.read_bytes": OURS, "subprocess.run": "macOS's sysctl"},
     "tdgbench/cells/known_classes.py": {
         "get_class": "names of conf/, and of --trust and --config-dir, that a record's `_target_` equals",
         "OmegaConf.load": "YAML of conf/ and of --config-dir",
@@ -78,6 +78,7 @@ DOORS = {
     "tdgbench/splats/backends/__init__.py": {"importlib.import_module": "a name of a table of ours"},
     "tdgbench/splats/backends/cuda.py": {"importlib.import_module": "gsplat"},
     "tdgbench/splats/cpu/cache.py": {"path.read_bytes": OURS},
+    "tdgbench/splats/cpu/pool.py": {"(cgroup / name).read_text": OURS},
     "tdgbench/splats/cpu/precompile.py": {"subprocess.Popen": "Python, on a module of ours"},
     "tdgbench/splats/ply.py": {"np.fromfile": OPENED},
     "tdgbench/tables/claims/__init__.py": {"OmegaConf.load": OURS},

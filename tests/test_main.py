@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -13,6 +12,7 @@ import pytest
 
 from tdgbench import __version__
 from tdgbench.cells.record import read_all
+from tdgbench.children import with_path
 from tdgbench.splats.cpu import pool
 from tdgbench.verify import verify
 from tests.helpers.command import command, command_here, tdgbench_here
@@ -236,7 +236,7 @@ def test_a_sweep_has_no_options_of_experiments(tmp_path):
 def test_a_working_folder_that_was_deleted_is_one_line(tmp_path, words, status, text):
     script = 'mkdir gone && cd gone && rmdir ../gone && exec "$0" -m tdgbench "$@"'
     run = subprocess.run(
-        ["sh", "-c", script, sys.executable, *words], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        ["sh", "-c", script, sys.executable, *words], cwd=tmp_path, env=with_path(ROOT),
         capture_output=True, text=True, timeout=100,
     )  # fmt: skip
     assert run.returncode == status and (run.stdout + run.stderr).startswith(text)

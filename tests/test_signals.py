@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
+from tdgbench.children import with_path
 from tests.helpers.configs import QUICK
 from tests.helpers.paths import ROOT
 from tests.helpers.waiting import waited
@@ -21,7 +22,7 @@ LONG = (*QUICK, "budget.iterations=1000000", "budget.plateau=null", "checkpoint=
 
 def started(tmp_path: Path, *words: str) -> subprocess.Popen[str]:
     """A run in a new session, as a shell starts it."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TORCH_HOME": str(tmp_path / "torch")}
+    environment = {**with_path(ROOT), "TORCH_HOME": str(tmp_path / "torch")}
     return subprocess.Popen(
         [sys.executable, "-m", "tdgbench", *words], cwd=tmp_path, env=environment, text=True, start_new_session=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -104,6 +105,26 @@ def test_workers_end_with_a_sweep_that_is_killed(tmp_path, data_root):
         waited(lambda: not _of_session(run.pid), 20, "the workers end")
     finally:
         end_session(run)
+
+
+WATCHES = """
+import os, subprocess, sys, time
+watching = "import os, signal, time; from tdgbench import signals; signals.WATCH_SECONDS = 0.05; " \\
+    "signals.watch(os.getppid(), lambda: os.killpg(0, signal.SIGKILL)); print(1, flush=True); time.sleep(60)"
+child = subprocess.Popen([sys.executable, "-c", watching], start_new_session=True, stdout=subprocess.PIPE)
+child.stdout.readline()
+print(child.pid, flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_process_that_watches_ends_with_the_one_that_started_it():
+    parent = subprocess.Popen([sys.executable, "-c", WATCHES], cwd=ROOT, text=True, stdout=subprocess.PIPE)
+    session = int(parent.stdout.readline())
+    assert _of_session(session)
+    parent.kill()
+    parent.wait()
+    waited(lambda: not _of_session(session), 20, "the watching process ends")
 
 
 def _of_session(session: int) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import re
 import subprocess
 import sys
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tdgbench.children import with_path
 from tdgbench.terminal import GuardedStream, say
 from tests.helpers.paths import ROOT
 
@@ -32,7 +32,7 @@ sys.exit(int(sys.argv[1]))
 def ran(tmp_path: Path, redirection: str, status: int, variables: dict[str, str] | None = None, prints: int = 1):
     """Outcome of a program that prints and ends with a status; `redirection` is the shell's."""
     words = f'"{sys.executable}" -c "$PROGRAM" {status} {prints} {tmp_path / "file.txt"} {redirection}'
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PROGRAM": PROGRAM, **(variables or {})}
+    environment = {**with_path(ROOT), "PROGRAM": PROGRAM, **(variables or {})}
     run = subprocess.run(["bash", "-c", words], env=environment, capture_output=True, timeout=60)
     assert (tmp_path / "file.txt").read_text(encoding="utf-8") == "a file of the run"
     return run
@@ -93,8 +93,8 @@ print(console().is_interactive, console(stderr=True).is_interactive)
 
 @pytest.mark.parametrize("variables", [{}, {"COLUMNS": "80", "FORCE_COLOR": "1", "TERM": "xterm"}])
 def test_nothing_is_cut_or_wrapped_where_there_is_no_terminal(variables):
-    environment = {key: value for key, value in os.environ.items() if key != "COLUMNS"}
-    environment |= {"PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8", **variables}
+    environment = {key: value for key, value in with_path(ROOT).items() if key != "COLUMNS"}
+    environment |= {"PYTHONIOENCODING": "utf-8", **variables}
     run = subprocess.run([sys.executable, "-c", WIDE], env=environment, capture_output=True, text=True, timeout=60)
     lines = STYLE.sub("", run.stdout).splitlines()
     assert lines[3].count("a name with spaces") == 40 and "column 39" in lines[1] and "…" not in run.stdout

@@ -79,6 +79,8 @@ def main() -> None:
     for table in (trainings(found), profiles(found)):
         print("\n" + table.to_string(index=False))
     print(f"\nin {found['seconds']:g} s; all of it: {measurement.file}")
+    if all(check["reason"] for check in found["checks"].values()):
+        parser.exit(1, "no backend can train on a GPU here\n")
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TESTS_SHARE = 0.35  # of all the time, that the tests marked `cuda` have at most, and again the whole suite
 PART_SHARE = 0.5  # of the time that is left, so that one that hangs leaves some to the others
 FEWEST_SECONDS = 10.0  # a part that has less does not begin
+COLLECT = ("--continue-on-collection-errors",)  # a package that one file of tests lacks costs that file
 OUTCOMES = ("PASSED", "FAILED", "ERROR", "SKIPPED", "XFAIL")
 
 
@@ -44,6 +45,8 @@ class Measurement:
         self.args.out.mkdir(parents=True, exist_ok=True)
         for backend in self.args.backends:
             self._keep("checks", backend, self._part("check", PART_SHARE, backend=backend)[0])
+        if all(map(self._unusable, self.args.backends)):
+            self.args.tests = False  # they would take the time, and say no more
         if self.args.tests:
             self._keep("tests", "marked cuda", self._tests(["-m", "cuda"]))
         cells = [(backend, method) for backend in self.args.backends for method in self.args.methods]
@@ -100,7 +103,7 @@ class Measurement:
             return _without("there was no time for them")
         if importlib.util.find_spec("xdist") and not options:
             options = ["-n", "auto", "--dist", "loadfile"]
-        command = [sys.executable, "-m", "pytest", "-vv", "-p", "no:cacheprovider", *options, where]
+        command = [sys.executable, "-m", "pytest", "-vv", "-p", "no:cacheprovider", *COLLECT, *options, where]
         return counts_of(run_limited(command, seconds, ROOT))
 
     def _keep(self, kind: str, name: str, found: dict[str, Any]) -> None:

@@ -21,6 +21,7 @@ from filelock import FileLock, Timeout
 from benchmarks.killed import full_disk
 from benchmarks.killed.compare import compare
 from tdgbench.cells.record import record_files
+from tdgbench.children import with_path
 
 ROOT = Path(__file__).resolve().parents[2]
 SIGNALS = ("SIGKILL", "SIGTERM", "SIGINT")
@@ -80,7 +81,7 @@ class Sweep:
         with _log(results).open("wb") as out:
             return subprocess.Popen(
                 command, cwd=self.scratch, start_new_session=True,
-                env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONFAULTHANDLER": "1", "CUDA_VISIBLE_DEVICES": ""},
+                env={**with_path(ROOT), "PYTHONFAULTHANDLER": "1", "CUDA_VISIBLE_DEVICES": ""},
                 stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT,
             )  # fmt: skip
 

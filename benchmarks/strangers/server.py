@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.strangers.watch import ROOT, limit, settle, watch
+from tdgbench.children import with_path
 
 GB = 2**30
 SECONDS = 20.0  # that a case may take
@@ -61,7 +62,7 @@ class Server:
 
     def __enter__(self) -> Server:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", __name__], cwd=ROOT, env={**os.environ, **ENVIRONMENT, "PYTHONPATH": str(ROOT)},
+            [sys.executable, "-m", __name__], cwd=ROOT, env={**with_path(ROOT), **ENVIRONMENT},
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         return self

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import subprocess
 import sys
 import sysconfig
 from collections.abc import Iterator
@@ -75,4 +76,7 @@ def _plug_in_files(config: object) -> Iterator[Path]:
 @cache
 def cpu_model() -> str:
     """Return the name of the processor, as precise as the platform gives it."""
+    if sys.platform == "darwin":  # where `platform` says `arm` of all of Apple's
+        named = subprocess.run(["sysctl", "-n", "machdep.cpu.brand_string"], capture_output=True, text=True)
+        return named.stdout.strip() or platform.machine()
     return proc_field(Path("/proc/cpuinfo"), "model name") or platform.processor() or platform.machine()

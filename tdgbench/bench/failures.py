@@ -43,7 +43,12 @@ ERROR_NUMBERS = {  # by the key of the remedy
     "lost": "EIO ENODEV ENXIO ENOTCONN ESTALE EREMOTEIO EHOSTDOWN EHOSTUNREACH ENETDOWN ENETUNREACH ETIMEDOUT ENOLCK "
     "EBUSY EAGAIN",
 }
-_BY_NUMBER = {getattr(errno, name): kind for kind, names in ERROR_NUMBERS.items() for name in names.split()}
+_BY_NUMBER = {
+    getattr(errno, name): kind
+    for kind, names in ERROR_NUMBERS.items()
+    for name in names.split()
+    if hasattr(errno, name)  # EREMOTEIO is Linux's alone
+}
 # RuntimeErrors of torch and of the standard library that have no type of their own.
 _MEMORY_TEXTS = ("can't allocate memory", "not enough memory", "out of memory", "ALLOC_FAILED")
 _DEVICE_TEXTS = ("CUDA error", "CUDA driver", "cuDNN error", "CUBLAS_STATUS", "can't start new thread")

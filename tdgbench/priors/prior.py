@@ -136,7 +136,8 @@ def unavailable(prior: str, reason: str, remedy: str) -> Iterator[None]:
 
 def importing(prior: str, extra: str = "depth") -> AbstractContextManager[None]:
     """Turn errors of importing the packages of an extra into PriorUnavailableError."""
-    return unavailable(prior, "a package is missing or broken", f"pip install -e '.[{extra}]'")
+    remedy = f"pip install -e '.[{extra}]'; a torchvision of another build than torch's breaks them: pip uninstall it"
+    return unavailable(prior, "a package is missing or broken", remedy)
 
 
 def loading(prior: str, model: str) -> AbstractContextManager[None]:

@@ -46,6 +46,7 @@ class Trainer:
         whole = self.whole_context
         self._rig = Rig(whole.scene.extent, whole.device) if whole.learns_rig else None
         self.on_gpu, self.pending = whole.device.type != "cpu", Pending()
+        torch.backends.cudnn.allow_tf32 = False  # by default convolutions on a GPU keep 10 bits of what they multiply
         self.stage_number, self.stage_start = 0, 0
         self.contexts: list[Context] = []  # of the stages so far
         self._finished: list[tuple[str, str, Part]] = []  # stage, name and part

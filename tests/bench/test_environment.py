@@ -19,7 +19,9 @@ def test_the_code_that_trains_and_scores_is_hashed():
     run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     modules = [name for name in run.stdout.split() if name.split(".")[0] in ("tdgbench", "methods")]
     hashed = tuple(name.removesuffix(".py").replace("/", ".") for name in HASHED)
-    bookkeeping = "backend_check commit failures options signature cells children files resources tensors terminal text"
+    bookkeeping = (
+        "backend_check commit failures options signature cells children files resources signals tensors terminal text"
+    )
     others = {name.removeprefix("tdgbench.bench.").removeprefix("tdgbench.") for name in modules
               if not name.startswith(hashed)}  # fmt: skip
     assert {name.split(".")[0] for name in others} <= {"tdgbench", "bench", *bookkeeping.split()}

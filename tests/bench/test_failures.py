@@ -1,6 +1,7 @@
 """Failures of the environment are told from those of a cell; each says what to do."""
 
 import errno
+import importlib
 import os
 import re
 from urllib.error import URLError
@@ -9,6 +10,7 @@ import pytest
 import torch
 
 from methods.gaussian_splatting import GaussianSplatting
+from tdgbench.bench import failures
 from tdgbench.bench.failures import REMEDIES, message, of_environment
 from tdgbench.cells.record import read_all, schema_problems
 from tests.helpers.cells import fails, statuses
@@ -101,3 +103,12 @@ def test_causes_that_lead_back_end():
     one, other = ValueError("one"), ValueError("other")
     one.__cause__, other.__cause__ = other, one
     assert not of_environment(one)
+
+
+def test_an_error_that_a_system_does_not_know_is_none_of_its_errors(monkeypatch):
+    """macOS has no EREMOTEIO: every command imports this module."""
+    monkeypatch.delattr(errno, "EREMOTEIO", raising=False)
+    importlib.reload(failures)
+    assert failures.of_environment(OSError(errno.ENOSPC, "full"))
+    monkeypatch.undo()
+    importlib.reload(failures)

@@ -14,9 +14,9 @@ from tests.helpers.command import program_here
 from tests.helpers.configs import SMALL
 
 
-def of(tmp_path, *words):
+def of(tmp_path, *words, status=0):
     run = program_here(gpu.main, tmp_path, "gpu", *words, "--no-tests", "--out", str(tmp_path / "out"))
-    assert run.returncode == 0, run.stderr[-2000:]
+    assert run.returncode == status, run.stderr[-2000:]
     return json.loads((tmp_path / "out" / "gpu.json").read_text()), run.stdout
 
 
@@ -40,7 +40,7 @@ def test_runs_small_on_the_cpu(tmp_path, data_root):
 
 
 def test_what_has_no_time_is_not_available(tmp_path):
-    found, printed = of(tmp_path, "--minutes", "0.01")
+    found, printed = of(tmp_path, "--minutes", "0.01", status=1)
     assert len(found["trainings"]) == 8 and len(found["profiles"]) == 4
     assert all("n/a" in run for row in found["trainings"] for run in row["runs"])
     assert "there was no time for it" in printed

@@ -16,6 +16,7 @@ from hydra.utils import instantiate
 
 from tdgbench.cells.cameras import read_cameras
 from tdgbench.cells.record import Record, read_all, read_each
+from tdgbench.children import with_path
 from tdgbench.priors import DepthPrior, PriorError
 from tdgbench.scenes import FolderDataset, ReadOptions, Scene
 from tdgbench.scenes.layouts import LAYOUTS
@@ -255,7 +256,7 @@ def test_table_column(page, small_results):
     (copy / path).write_text("".join(replaced), encoding="utf-8")
     shutil.copytree(small_results, column.folder / "results" / "single")
     ((_, *words),) = column.commands
-    environment = {"PYTHONPATH": str(copy), "PATH": "", "HOME": str(column.folder), "COLUMNS": "200"}
+    environment = {**with_path(copy), "PATH": "", "HOME": str(column.folder), "COLUMNS": "200"}
     done = subprocess.run(
         [sys.executable, "-m", "tdgbench", *words], cwd=column.folder, env=environment, capture_output=True, text=True,
         timeout=300,

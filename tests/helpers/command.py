@@ -20,6 +20,7 @@ from hydra.core.singleton import Singleton
 
 import tdgbench.command
 from tdgbench.__main__ import main
+from tdgbench.children import with_path
 from tdgbench.splats.cpu import pool
 from tests.helpers.paths import ROOT
 
@@ -31,10 +32,9 @@ def command(tmp_path: Path, *arguments: str) -> CompletedProcess[str]:
 
 def tdgbench(tmp_path: Path, *arguments: str) -> CompletedProcess[str]:
     """Outcome of `python -m tdgbench` in the folder `tmp_path`, in a new process."""
-    variables = {"PYTHONPATH": str(ROOT), **_variables(tmp_path)}
     return subprocess.run(
         [sys.executable, "-m", "tdgbench", *arguments],
-        cwd=tmp_path, env={**os.environ, **variables}, capture_output=True, text=True, timeout=600,
+        cwd=tmp_path, env={**with_path(ROOT), **_variables(tmp_path)}, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
 
 

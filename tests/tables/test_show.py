@@ -1,10 +1,10 @@
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
 
+from tdgbench.children import with_path
 from tdgbench.scenes.registry import SCENES
 from tdgbench.tables.build import TableOptions, build_tables
 from tdgbench.tables.show import show_tables
@@ -30,7 +30,7 @@ def test_a_pipe_gets_every_name_and_number_and_the_findings_last(tmp_path):
     """Where there is no terminal, neither rich's 80 columns nor those of the shell cut the names of the scenes."""
     for seed in range(2):
         published_as_records(tmp_path, seed)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8", "COLUMNS": "40"}
+    environment = {**with_path(ROOT), "PYTHONIOENCODING": "utf-8", "COLUMNS": "40"}
     run = subprocess.run(
         [sys.executable, "-m", "tdgbench", "tables", str(tmp_path)],
         env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import socket
 import subprocess
@@ -12,6 +11,7 @@ import urllib.request
 import pytest
 
 from tdgbench.cells.folder import hashes_below
+from tdgbench.children import with_path
 from tdgbench.view.command import has_screen, main
 from tests.helpers.paths import ROOT
 
@@ -52,7 +52,7 @@ def test_an_address_that_cannot_be_served(tdg_folder, capsys):
 def test_ctrl_c_ends_it_in_one_line(tdg_folder, data_root, tmp_path):
     pytest.importorskip("viser")
     before = hashes_below(tdg_folder)
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    environment = {**with_path(ROOT), "PYTHONUNBUFFERED": "1"}
     words = [str(tdg_folder), "--no-open", "--port", "0"]
     run = subprocess.Popen(
         [sys.executable, "-m", "tdgbench", "view", *words], cwd=tmp_path, env=environment, text=True,

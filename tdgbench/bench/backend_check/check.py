@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -28,6 +30,7 @@ from tdgbench.bench.backend_check.compare import (
 from tdgbench.bench.failures import message
 from tdgbench.children import run_limited
 from tdgbench.resources import PACKAGE
+from tdgbench.signals import watch
 from tdgbench.splats.backends import load_backend
 from tdgbench.text import shortened
 
@@ -138,7 +141,11 @@ def _spread(first: Rendered, other: Rendered) -> float:
 
 
 def main() -> None:
-    """Check the backend that the first argument names on the device of the second; write the outcome as JSON."""
+    """Check the backend that the first argument names on the device of the second; write the outcome as JSON.
+
+    The process leads a group of its own: if the one that started it is killed, it ends with its compilers.
+    """
+    watch(os.getppid(), lambda: os.killpg(0, signal.SIGKILL))
     with torch.cuda.device(int(sys.argv[2])):
         sys.stdout.write(json.dumps(asdict(check(sys.argv[1]))) + "\n")
 

@@ -10,8 +10,11 @@ handed over through `SimpleQueue`, whose operations happen whole or not at all, 
 from __future__ import annotations
 
 import functools
+import math
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any
@@ -28,10 +31,19 @@ _workers = 0
 
 @functools.cache
 def available_cores() -> int:
-    """Return on how many cores this process may run, by its affinity when it first asks, where that is known."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """Return on how many cores this process may run when it first asks: by its affinity and a container's quota."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, math.ceil(min(cores, quota())))
+
+
+def quota(cgroup: Path = Path("/sys/fs/cgroup")) -> float:
+    """Return how many cores a container may use at a time (`docker --cpus`); infinity where nothing says so."""
+    for names in (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")):  # of cgroups v2 and v1
+        with suppress(OSError, ValueError):
+            limit, period = " ".join((cgroup / name).read_text(encoding="ascii") for name in names).split()
+            if limit not in ("max", "-1"):
+                return int(limit) / int(period)
+    return math.inf
 
 
 def get_threads() -> int:

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from benchmarks.killed.full_disk import FullDisk
+from tdgbench.children import with_path
 from tests.helpers.paths import ROOT
 
 WRITES = """
@@ -40,7 +41,7 @@ def test_the_nth_write_fails(tmp_path, first, left):
     run = subprocess.run(
         [sys.executable, "-c", WRITES, str(first)],
         cwd=tmp_path,
-        env={"PYTHONPATH": str(ROOT)},
+        env=with_path(ROOT),
         capture_output=True,
         text=True,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import re
 import shutil
 import signal
@@ -14,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tdgbench import archives
+from tdgbench.children import with_path
 from tdgbench.data.get.command import DOWNLOADS, RECORD, fetch
 from tdgbench.data.get.packages import packages_of
 from tdgbench.data.get.sources import SOURCES, GetError, list_files
@@ -151,7 +151,7 @@ def test_a_signal_ends_it_in_one_line_and_the_next_run_goes_on(tmp_path, server,
     server.faults["lion.zip"] = [Fault(seconds=0.02)]
     words = [sys.executable, "-m", "tdgbench", "data", "get", "thermalmix", "data", "--zenodo", server.address]
     process = subprocess.Popen(
-        words, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, text=True,
+        words, cwd=tmp_path, env=with_path(ROOT), text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
     folder = tmp_path / "data" / "ThermalMix"

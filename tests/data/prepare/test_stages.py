@@ -1,4 +1,3 @@
-import os
 import signal
 import subprocess
 import sys
@@ -10,6 +9,7 @@ import pycolmap
 import pytest
 from PIL import Image
 
+from tdgbench.children import with_path
 from tdgbench.data.folders import Stages
 from tdgbench.data.prepare import prepare, sfm
 from tests.helpers.command import tdgbench_here
@@ -102,7 +102,7 @@ def test_killed_at_five_moments_it_ends_with_the_same_bytes(tmp_path):
 def begun_until(step, folder, expected):
     """Run the command until it is in the step; kill it. Return the number of pairs to match, if it begins with them."""
     found, pairs = [], None
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = with_path(ROOT)
     with subprocess.Popen([sys.executable, "-m", "tdgbench", *COMMAND], cwd=folder, env=environment,
                           stdout=subprocess.PIPE, text=True) as run:  # fmt: skip
         for line in run.stdout:

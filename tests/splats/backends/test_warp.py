@@ -115,7 +115,7 @@ def test_two_trainings_have_equal_bytes(small_gray_scene, method):
     for _ in range(2):
         trainer, _ = trained(small_gray_scene, method, 30, backend="warp")
         state = getattr(trainer.method, "thermal" if method == "msmg" else "model").state
-        left.append([state.values.numpy().tobytes(), state.second.numpy().tobytes()])
+        left.append([tensor.cpu().numpy().tobytes() for tensor in (state.values, state.second)])
     assert left[0] == left[1]
 
 

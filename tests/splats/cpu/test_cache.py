@@ -16,6 +16,7 @@ import pytest
 from filelock import FileLock
 from numba.core.caching import IndexDataCacheFile
 
+from tdgbench.children import with_path
 from tdgbench.splats.cpu import cache
 from tests.helpers.paths import ROOT
 
@@ -82,8 +83,8 @@ def test_without_a_usable_cache_a_temporary_one_is_used(tmp_path):
     home.touch()
     script.write_text(USE)
     temporary.mkdir()
-    env = {k: v for k, v in os.environ.items() if k != "TORCH_HOME"}
-    env |= {"HOME": str(home), "XDG_CACHE_HOME": str(home / "cache"), "TMPDIR": str(temporary), "PYTHONPATH": str(ROOT)}
+    env = {k: v for k, v in with_path(ROOT).items() if k != "TORCH_HOME"}
+    env |= {"HOME": str(home), "XDG_CACHE_HOME": str(home / "cache"), "TMPDIR": str(temporary)}
     run = subprocess.run([sys.executable, script], env=env, capture_output=True, text=True, timeout=300)
     assert run.returncode == 0, run.stderr
     assert run.stderr.count("their cache cannot be used") == 1 and str(home) in run.stderr
@@ -165,7 +166,7 @@ def test_of_two_processes_one_compiles_and_the_other_waits_for_it(tmp_path):
     script, ready = tmp_path / "script.py", tmp_path / "ready"
     script.write_text(TOGETHER)
     ready.mkdir()
-    env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    env = {**with_path(ROOT), "XDG_CACHE_HOME": str(tmp_path)}
     runs = [
         subprocess.Popen([sys.executable, script, ready, name], env=env, stdout=subprocess.PIPE, text=True)
         for name in "ab"
@@ -214,7 +215,7 @@ print(os.waitpid(child, 0)[1])
 def test_a_kernel_that_was_not_compiled_is_locked_no_longer_and_a_forked_child_compiles(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(FAILING)
-    env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    env = {**with_path(ROOT), "XDG_CACHE_HOME": str(tmp_path)}
     run = subprocess.run([sys.executable, script], env=env, capture_output=True, text=True, timeout=100)
     assert run.stdout.split() == ["TypingError", "0"], run.stderr
 

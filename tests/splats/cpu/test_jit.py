@@ -1,9 +1,9 @@
-import os
 import subprocess
 import sys
 
 import pytest
 
+from tdgbench.children import with_path
 from tdgbench.splats.cpu import jit
 from tests.helpers.paths import ROOT
 
@@ -50,14 +50,14 @@ print(total, hits, misses)
 def test_a_second_process_compiles_nothing():
     """What this process has compiled, the next one loads."""
     exec(RENDER, {})
-    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    env = with_path(ROOT)
     run = subprocess.run([sys.executable, "-c", RENDER + COUNT], env=env, capture_output=True, text=True, timeout=1200)
     _, hits, misses = run.stdout.split()
     assert int(hits) > 5 and int(misses) == 0
 
 
 def test_a_sum_has_the_same_bits_whether_its_kernel_was_compiled_or_loaded(tmp_path):
-    env = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    env = {**with_path(ROOT), "XDG_CACHE_HOME": str(tmp_path)}
     call = [sys.executable, "-c", GRADIENT + COUNT]
     runs = [subprocess.run(call, env=env, capture_output=True, text=True, timeout=1200) for _ in range(2)]
     (total, _, compiled), (again, loaded, misses) = (run.stdout.split() for run in runs)

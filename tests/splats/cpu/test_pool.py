@@ -1,3 +1,4 @@
+import math
 import os
 import random
 import signal
@@ -109,3 +110,21 @@ def test_work_is_handed_out_once():
     taken = [np.zeros(10_000, np.int64) for _ in range(3)]
     pool.run(take, [(counter, out) for out in taken])
     assert np.array_equal(np.sort(np.concatenate(taken)), np.arange(30_000))
+
+
+@pytest.mark.parametrize(
+    ("files", "cores"),
+    [
+        ({}, math.inf), ({"cpu.max": "max 100000\n"}, math.inf), ({"cpu.max": "250000 100000\n"}, 2.5),
+        ({"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, math.inf),
+        ({"cpu/cpu.cfs_quota_us": "50000\n", "cpu/cpu.cfs_period_us": "100000\n"}, 0.5), ({"cpu.max": "?"}, math.inf),
+    ],
+)  # fmt: skip
+def test_a_container_has_the_cores_of_its_quota(tmp_path, monkeypatch, files, cores):
+    for name, content in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(content)
+    assert pool.quota(tmp_path) == cores
+    monkeypatch.setattr(pool, "quota", lambda: cores)
+    monkeypatch.setattr(pool.os, "sched_getaffinity", lambda _: range(64), raising=False)
+    assert pool.available_cores.__wrapped__() == {0.5: 1, 2.5: 3}.get(cores, 64)

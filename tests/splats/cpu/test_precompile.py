@@ -1,7 +1,7 @@
-import os
 import subprocess
 import sys
 
+from tdgbench.children import with_path
 from tdgbench.splats.cpu import jit, pool
 from tdgbench.splats.cpu.precompile import compiled_alongside
 from tests.helpers.paths import ROOT
@@ -34,7 +34,7 @@ print(of_depth, [len(kernel.signatures) for kernel in kernels], len(kinds), sum(
 
 def test_what_is_compiled_is_what_training_calls():
     run = subprocess.run(
-        [sys.executable, "-c", SAME_TYPES], cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, text=True,
+        [sys.executable, "-c", SAME_TYPES], cwd=ROOT, env=with_path(ROOT), text=True,
         capture_output=True, timeout=600,
     )  # fmt: skip
     assert run.stdout.strip() == "[1, 0] [1, 1, 1, 1, 1] 2 1", run.stderr[-2000:]
