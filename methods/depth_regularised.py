@@ -133,6 +133,7 @@ class Targets:
         if view.name not in self._of or self._of[view.name][0].shape != size:
             values = self._depths[view.name].resized(view.camera.width, view.camera.height).values
             known = np.isfinite(values) & (values > 0)
+            known = known if view.valid is None else known & view.valid
             flat = ~canny((view.thermal * 255).astype(np.uint8), *EDGES)
             arrays = (np.where(known, values, np.float32(0)), known, flat)
             found = [torch.from_numpy(array).to(self._device) for array in arrays]

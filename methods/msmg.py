@@ -36,12 +36,12 @@ class MSMG(ThermalGaussianLosses):
         """Both models take part until the images of one have ended its training (`SettlingRule`)."""
         share_rgb = len(self.rgb) / (len(self.rgb) + len(self.thermal))
         losses, terms = [], {}
-        if not self.rgb_views.has_ended:
+        if not (self.rgb_views.has_ended and self.rgb.has_recovered(iteration)):
             view = self.rgb_views.next()
             shown = self.rgb_step(self.rgb.render(view.camera), view)
             terms["rgb"] = shown.loss
             losses.append(self.weight_rgb * (1 - share_rgb) * shown.loss)
-        if not self.thermal_views.has_ended or not losses:
+        if not (self.thermal_views.has_ended and self.thermal.has_recovered(iteration)) or not losses:
             view = self.thermal_views.next()
             shown = self.thermal_step(self.thermal.render(view.camera), view)
             terms["thermal"] = shown.loss

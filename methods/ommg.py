@@ -35,8 +35,6 @@ class OMMG(GaussianSplatting):
     can_learn_rig = False  # one camera shows both images
 
     def setup(self, context: Context) -> None:
-        if context.rig is not None:
-            raise ValueError("OMMG renders both images from one camera: use thermal_camera.rig=false")
         points, degree = context.points, context.budget.sh_degree
         sh_rgb = gaussians_from_points(points.points, points.colors, 3, degree).sh
         self.model = context.gaussians(extra_fields={SH_RGB: sh_rgb}, learning_rates={SH_RGB: "sh"})

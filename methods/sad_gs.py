@@ -46,6 +46,7 @@ class SADGS(Method):
 
     needs_prior = True
     keeps_all_points = True
+    can_learn_rig = False  # its surfaces are those of the given cameras
 
     lambda_ssim: Share
     lambda_image: NonNegativeFloat

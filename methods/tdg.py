@@ -102,7 +102,7 @@ class DepthTarget:
     normalised: Tensor  # (H, W) in [0, 1]; 0 where unknown
     valid: Tensor | None  # (H, W) bool: where the prior is known; None: everywhere
     kind: str
-    known: int = 0  # the first of the pixels that are known, counted along rows
+    known: int = 0  # the first of the pixels that are known, counted along rows; -1: none is
 
     @cached_property
     def image(self) -> Tensor:
@@ -110,13 +110,13 @@ class DepthTarget:
         return self.normalised[..., None]
 
     @classmethod
-    def from_prior(cls, prior: DepthPrior, device: torch.device) -> DepthTarget:
-        """Normalise a prior."""
-        values = torch.from_numpy(prior.values).to(device)
+    def from_prior(cls, prior: DepthPrior, device: torch.device, counts: np.ndarray | None = None) -> DepthTarget:
+        """Normalise a prior. counts: mask (H, W) of its pixels; None: all count."""
+        values = torch.from_numpy(prior.values if counts is None else np.where(counts, prior.values, np.nan)).to(device)
         valid = torch.isfinite(values)
         if bool(valid.all()):
             return cls(min_max(values), None, prior.kind)
-        known = int(np.isfinite(prior.values).argmax())
+        known = int(valid.flatten().int().argmax()) if bool(valid.any()) else -1
         normalised = torch.where(valid, min_max(_fill_unknown(values, valid, known)), 0.0)
         return cls(normalised, valid, prior.kind, known)
 
@@ -140,7 +140,7 @@ class DepthTargets:
         size = (view.camera.height, view.camera.width)
         if view.name not in self.made or self.made[view.name].normalised.shape != size:
             prior = self._priors[view.name].resized(view.camera.width, view.camera.height)
-            self.made[view.name] = DepthTarget.from_prior(prior, self._device)
+            self.made[view.name] = DepthTarget.from_prior(prior, self._device, view.valid)
         return self.made[view.name]
 
 
@@ -160,6 +160,8 @@ def depth_loss(rendered: Tensor, target: DepthTarget) -> Tensor:
     >>> abs(depth_loss(depth, target).item()) < 1e-5
     True
     """
+    if target.known < 0:
+        return 0.0 * rendered.sum()
     if target.valid is None:
         normalised = min_max(rendered)
     else:

@@ -179,6 +179,8 @@ def _correct_thermal_camera(
 
 def _learns_rig(options: ThermalCameraOptions, method: Method, context: Context, observer: SetupObserver) -> bool:
     """Return whether the pose and lens of the thermal camera are learnt; of `auto`, a trial decides."""
+    if options.rig is True and not method.can_learn_rig:
+        raise ValueError(f"{method.name} cannot learn the rig of the thermal camera: use thermal_camera.rig=false")
     if options.rig != "auto":
         return options.rig
     with observer.phase("rig"):

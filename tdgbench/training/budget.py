@@ -86,20 +86,23 @@ class Budget:
         """Return the SH degree in use at an iteration (1-based)."""
         return min(self.sh_degree, iteration // self.sh_every)
 
-    def for_stage(self, share: float) -> Budget:
+    def for_stage(self, share: float, before: float = 0.0) -> Budget:
         """Return the budget of a stage that has a share of the iterations; its schedules begin at its first one.
 
-        Schedules of Gaussians that are longer than the stage are shortened to it: a stage is a training of its own.
+        before: share of the stages before it; all stages together have the iterations of the budget. Schedules of
+        Gaussians that are longer than the stage are shortened to it: a stage is a training of its own. Opacity resets
+        keep their distance where they would come before the model has recovered from the last one.
         """
         if share == 1.0:
             return self
-        iterations = max(1, round(share * self.iterations))
+        iterations = max(1, round((before + share) * self.iterations) - round(before * self.iterations))
         shorter = min(1.0, iterations / self.rates.means_steps)
 
         def shortened(count: int) -> int:
             return max(1, round(shorter * count))
 
         density = self.density
+        resets = shortened(density.opacity_reset_every)
         return replace(
             self,
             iterations=iterations,
@@ -110,8 +113,11 @@ class Budget:
                 density,
                 start=shortened(density.start),
                 stop=shortened(density.stop),
-                opacity_reset_every=shortened(density.opacity_reset_every),
+                opacity_reset_every=density.opacity_reset_every
+                if resets < density.reset_recovery * density.every
+                else resets,
             ),
+            harmonics=self.harmonics and replace(self.harmonics, every=shortened(self.harmonics.every)),
             plateau=self.plateau and replace(self.plateau, after=shortened(self.plateau.after)),
         )
 

@@ -149,9 +149,14 @@ class Context:
         """Return the Gaussians of a modality by name; parts other than Gaussians count as of the stage's modality."""
         return {n: part for n, part in self.parts.items() if self._modality_of.get(n, self.modality) == modality}
 
-    def for_stage(self, number: int, share: float, modality: str = THERMAL.name, rig: Rig | None = None) -> Context:
-        """Return the context of a stage (0-based) with a share of the budget; its parts are curriculum and rig."""
-        stage = replace(self, budget=self.budget.for_stage(share), rig=rig, modality=modality)
+    def for_stage(
+        self, number: int, share: float, modality: str = THERMAL.name, rig: Rig | None = None, before: float = 0.0
+    ) -> Context:
+        """Return the context of a stage (0-based) with a share of the budget; its parts are curriculum and rig.
+
+        before: share of the stages before it.
+        """
+        stage = replace(self, budget=self.budget.for_stage(share, before), rig=rig, modality=modality)
         stage._streams = 1000 * number  # equal seeds give each stage random numbers of its own
         stage.curriculum(modality)  # the first part, which the others follow
         if rig is not None:

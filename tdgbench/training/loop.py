@@ -119,9 +119,10 @@ class _Loop:
             _update(step, trainer, iteration)
         if log.iterations % self.line_every == 0 or log.iterations == 1 or ends_stage:
             self._add_line(step, iteration)
-        if ends_stage:
-            trainer.advance(iteration)
         self.clock.write_times()
+        if ends_stage:
+            with self.clock.stopped():  # set-up of the next stage, as that of the first one
+                trainer.advance(iteration)
         if self.after_iteration is not None:
             with self.clock.stopped():
                 self.after_iteration(log)
@@ -175,10 +176,11 @@ def _ends(trainer: Trainer, iteration: int, loss: Any) -> bool:
 
 
 def _line(log: TrainingLog, step: Step, trainer: Trainer) -> LogLine:
-    """Return the line of an iteration; its PSNR is smoothed with that of the line before."""
+    """Return the line of an iteration; its PSNR is smoothed with those of the lines before in the same stage."""
     loss, terms = step.numbers()
     psnr = step.psnr()
-    smoothed = psnr if not log.lines else 0.8 * log.lines[-1].psnr + 0.2 * psnr
+    is_first = not log.lines or log.lines[-1].iteration <= trainer.stage_start
+    smoothed = psnr if is_first else 0.8 * log.lines[-1].psnr + 0.2 * psnr
     return LogLine(log.iterations, log.seconds, loss, smoothed, _gaussians(trainer), terms)
 
 

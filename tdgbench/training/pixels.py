@@ -58,6 +58,8 @@ class PixelRule(Rule):
         nothing = (
             "the images are too small for so many Gaussians, or all of their spectrum is in their highest frequencies"
         )
+        if training.keeps_full_resolution:
+            nothing = "the steps of this method need whole images"
         reason = reason or (nothing if training.work else NO_GAUSSIANS)
         skip.decide(left_out > 0, reason, f"{left_out / max(sum(trained.values()), 1):.0%} of the pixels")
 

@@ -16,7 +16,7 @@ from tdgbench.training.skips import Finished, Skip
 class PlateauRule(Rule):
     """End a training after `patience` windows in a row whose mean loss is not below the best one by `gain`.
 
-    A window is `epochs` times all training views, so that every view has equal weight in it.
+    A window is `epochs` rounds of all training views, so that every view has equal weight in it.
     """
 
     ends_training = True
@@ -33,11 +33,11 @@ class PlateauRule(Rule):
         is_asked = not any(curriculum.settled_at for curriculum, _ in training.curricula)
         if not is_asked:
             reason = "the rule for settling decided"
-        elif training.remaining == 0:
+        elif not training.reached_plateau:
             reason = "the loss went on falling, or there were too few iterations to tell"
         else:
             reason = f"the loss no longer fell by {self.gain:.2%} a window"
-        skip.decide(is_asked and training.remaining > 0, reason, training.left_out)
+        skip.decide(is_asked and training.reached_plateau and training.remaining > 0, reason, training.left_out)
 
 
 class Plateau(Stopping):
@@ -54,13 +54,18 @@ class Plateau(Stopping):
         self._best, self._without = float("inf"), 0
         self._reached = False
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether the loss has reached a plateau."""
+        return self._reached
+
     def state_dict(self) -> State:
         return {**super().state_dict(), "_sum": float(self._sum)}
 
     def reached(self, iteration: int, loss: float | torch.Tensor) -> bool:
         if self._reached:
             return True
-        if iteration <= self.rule.after:
+        if iteration <= self.rule.after or (self._count == 0 and (iteration - 1) % self.views):  # within a round
             return False
         self._sum, self._count = self._sum + loss, self._count + 1
         if self._count < self.rule.epochs * self.views:

@@ -119,6 +119,9 @@ class Finished(NamedTuple):
     iterations: int  # trained
     curricula: list[tuple[Curriculum, int]]  # of each stage and modality, with the iterations of the stage's budget
     work: list[Work]  # of each set of Gaussians
+    reached_plateau: bool  # whether the rule for a plateau ended a stage
+    has_depth_loss: bool
+    keeps_full_resolution: bool
 
     @property
     def remaining(self) -> int:
@@ -142,7 +145,8 @@ def account_switches(skips: Skips, training: Finished) -> None:
     if not skips.prior.reason:
         skips.prior.decide(False, "the method uses no prior")
     if not skips.depth.reason:
-        skips.depth.decide(False, "the method has no depth loss")
+        counts = "its depth loss counts to the end" if training.has_depth_loss else "the method has no depth loss"
+        skips.depth.decide(False, counts)
     elif skips.depth.taken:
         trained = training.iterations
         without = max(0, trained - skips.depth_until)

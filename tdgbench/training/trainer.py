@@ -17,6 +17,7 @@ from tdgbench.training.context import Context
 from tdgbench.training.images import MODALITIES, THERMAL
 from tdgbench.training.method import Method, Stage
 from tdgbench.training.part import Part, Report, State, Stopping
+from tdgbench.training.plateau import Plateau
 from tdgbench.training.rig import Rig
 from tdgbench.training.rule import Watched
 from tdgbench.training.settling import AllSettled
@@ -47,13 +48,16 @@ class Trainer:
         self._rig = Rig(whole.scene.extent, whole.device) if whole.learns_rig else None
         self.on_gpu, self.pending = whole.device.type != "cpu", Pending()
         torch.backends.cudnn.allow_tf32 = False  # by default convolutions on a GPU keep 10 bits of what they multiply
-        self.stage_number, self.stage_start = 0, 0
+        self.stage_number, self.stage_start, self._reached_plateau = 0, 0, False
         self.contexts: list[Context] = []  # of the stages so far
         self._finished: list[tuple[str, str, Part]] = []  # stage, name and part
         self._start()
 
     def _start(self) -> None:
-        self.context = self.whole_context.for_stage(self.stage_number, self.stage.share, self.stage.modality, self._rig)
+        before = sum(stage.share for stage in self.stages[: self.stage_number])
+        self.context = self.whole_context.for_stage(
+            self.stage_number, self.stage.share, self.stage.modality, self._rig, before
+        )
         self.contexts.append(self.context)
         self.stage.setup(self.context)
         found = (self._stopping_by(name) for name in RULES)
@@ -88,6 +92,11 @@ class Trainer:
         return self.stage_number + 1 == len(self.stages)
 
     @property
+    def reached_plateau(self) -> bool:
+        """Whether the rule for a plateau has ended this stage or one before."""
+        return self._reached_plateau or (isinstance(self.stopping, Plateau) and self.stopping.has_ended)
+
+    @property
     def last_iteration(self) -> LastIteration:
         """When the training ends: as a rule of the last stage has chosen, else with the budget, or by a rule sooner."""
         budget = self.whole_context.budget
@@ -102,10 +111,13 @@ class Trainer:
         return self.context.parts
 
     def all_parts(self) -> dict[str, Part]:
-        """Return all parts by name; stage/name is a finished stage's part whose name the current stage has as well."""
-        finished = {name if name not in self.parts else f"{stage}/{name}": part for stage, name, part in self._finished}
+        """Return all parts by name; stage/name is a finished stage's part whose name a later stage has as well."""
+        later, finished = {*self.parts}, dict[str, Part]()
+        for stage, name, part in reversed(self._finished):
+            finished[f"{stage}/{name}" if name in later else name] = part
+            later.add(name)
         stopping = {} if self.stopping is None else {"stopping": self.stopping}
-        return {**finished, **self.parts, **stopping}
+        return {**dict(reversed(finished.items())), **self.parts, **stopping}
 
     @property
     def gaussians(self) -> dict[str, SplatModel]:
@@ -118,6 +130,7 @@ class Trainer:
         if self.is_last_stage:
             return
         done, name = self.parts, self.stage.name
+        self._reached_plateau = self.reached_plateau
         self.stage_number, self.stage_start = self.stage_number + 1, self.stage_start + iterations
         self._start()
         current = [id(part) for part in self.parts.values()]
@@ -130,7 +143,8 @@ class Trainer:
         """
         self.pending.read()
         parts = {name: part.state_dict() for name, part in self.all_parts().items()}
-        return {"stage": self.stage_number, "before": self.stage_start, "parts": parts}
+        so_far = {"before": self.stage_start, "reached_plateau": self._reached_plateau}
+        return {"stage": self.stage_number, **so_far, "parts": parts}
 
     def at_stage(self, number: int) -> None:
         """Go to a stage (0-based) without training, to load its state. Raises ValueError if there is none."""
@@ -141,7 +155,7 @@ class Trainer:
 
     def load_state_dict(self, saved: State) -> None:
         """Restore what `state_dict` returned at the same stage."""
-        self.stage_start = saved["before"]
+        self.stage_start, self._reached_plateau = saved["before"], saved["reached_plateau"]
         for name, part in self.all_parts().items():
             part.load_state_dict(saved["parts"][name])
 

@@ -8,6 +8,7 @@ import torch
 from tdgbench.fields import DensityField, FieldAdam, GridOptions
 from tdgbench.scenes import Camera
 from tdgbench.splats.backends import choose_backend, load_backend
+from tdgbench.splats.gaussians import Gaussians
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.view import Pinhole
 from tdgbench.training.budget import Budget
@@ -43,7 +44,7 @@ def compile_field_kernels(backend: str) -> None:
 
 
 def _take_steps(channels: set[int], budget: Budget, backend: str, depth: bool, masked: bool) -> None:
-    """Take two steps for each channel count, the second with two views and, if it is needed, with their depth."""
+    """Take three steps for each channel count: the second with two views and their depth, the third through a hook."""
     pose = np.eye(4)
     pose[2, 3] = 2.0
     K = np.array([[_SIZE, 0, _SIZE / 2], [0, _SIZE, _SIZE / 2], [0, 0, 1.0]])
@@ -53,10 +54,11 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, depth: bool, m
         start = gaussians_from_points(points, np.full((8, 3), 0.5), count, budget.sh_degree)
         start = start.map(lambda tensor: tensor.to(training_device(backend)))
         model = SplatModel(start, budget, 1.0, backend, torch.Generator().manual_seed(0))
-        for iteration, views in enumerate((1, 2), start=1):  # gradients of two take other kernels than those of one
+        for iteration, views in enumerate((1, 2, 1), start=1):  # gradients of two take other kernels than those of one
             model.begin(iteration)
+            hook = Gaussians.activated if iteration == 3 else None
             for _ in range(views):
-                render = model.render(camera, depth=depth and views == 2)
+                render = model.render(camera, depth=depth and views == 2, hook=hook)
                 black = torch.zeros_like(render.image)
                 loss = thermal_loss(render.image, black, 0.2, 0.1, "written")
                 if masked:

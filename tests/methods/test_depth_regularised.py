@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from methods.aligned_depth import metric_depths
-from methods.depth_regularised import Rise, depth_smoothness, expected_depth, prior_loss
+from methods.depth_regularised import Rise, Targets, depth_smoothness, expected_depth, prior_loss
 from tdgbench.priors import DepthPrior, PriorError
 from tdgbench.splats.backends.backend import RenderOptions
 from tdgbench.splats.backends.reference import BACKEND
@@ -119,3 +119,11 @@ def test_training_ends_once_the_depth_loss_rises(small_gray_scene):
     assert log.ended and 10 < log.iterations == trainer.reports()["depth_loss"]["rose_at"] < 200
     never = ready_to_train(small_gray_scene, NAME, log.iterations + 5, *soon[1:], f"{OPTION}stop_after=null")
     assert train(never).iterations == log.iterations + 5 and "depth_loss" not in never.reports()
+
+
+def test_a_prior_is_not_known_where_the_view_is_masked(small_gray_scene):
+    view = small_gray_scene.train[0]
+    valid = np.ones(view.thermal.shape[:2], bool)
+    valid[:9] = False
+    targets = Targets({view.name: DepthPrior(np.ones(valid.shape, np.float32), "metric")}, torch.device("cpu"))
+    assert np.array_equal(targets.for_view(replace(view, load_valid=lambda: valid))[1].numpy(), valid)

@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
-from methods.tdg import DepthTarget, comparable_depth, decay_weight
+from methods.tdg import DepthTarget, DepthTargets, comparable_depth, decay_weight
 from methods.tdg import depth_loss as loss_against
 from tdgbench.priors import DepthPrior
 from tdgbench.splats.torch_losses import ssim_map
@@ -35,6 +37,20 @@ def test_unknown_pixels_do_not_count():
     other = depth.clone()
     other[:10] = 100.0
     assert depth_loss(other, prior).item() == pytest.approx(0, abs=1e-5)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_masked_pixels_do_not_count_at_any_resolution(small_gray_scene, share):
+    """A prior is known at a pixel of a smaller image of which a part is known; its mask wants half of it."""
+    view = small_gray_scene.train[0]
+    depth = torch.rand(view.thermal.shape[:2]) * 5 + 1
+    valid = torch.arange(depth.shape[0])[:, None].expand_as(depth) >= share * depth.shape[0]
+    targets = DepthTargets({view.name: DepthPrior(depth.numpy(), "depth")}, torch.device("cpu"))
+    target = targets.for_view(replace(view, load_valid=valid.numpy))
+    rendered = torch.where(valid, depth, 100.0).requires_grad_()
+    loss = loss_against(rendered, target)
+    loss.backward()
+    assert loss.item() == pytest.approx(0, abs=1e-5) and not rendered.grad[~valid].any()
 
 
 def test_both_terms_are_means_over_known_pixels():

@@ -98,3 +98,20 @@ def test_each_set_has_the_number_that_is_given_exactly_where_growth_allows(small
     train(trainer)
     sets = [report for report in trainer.reports().values() if "gaussians" in report]
     assert [(of["gaussians"], of["gaussians_asked"]) for of in sets] == [(had, asked)] * (2 if method == "msmg" else 1)
+
+
+@pytest.mark.parametrize("iterations", [2, 3, 7, 3001, 3003])
+@pytest.mark.parametrize("share", [0.5, 0.6])
+def test_stages_have_the_iterations_of_the_budget(iterations, share):
+    whole = budget("budget=short", f"budget.iterations={iterations}")
+    stages = whole.for_stage(share), whole.for_stage(1 - share, share)
+    assert sum(stage.iterations for stage in stages) == iterations
+
+
+def test_schedules_of_a_short_stage():
+    """Resets that would come before the model has recovered from the last one keep their distance; harmonics do not."""
+    of_3dgs = budget("budget=paper", "budget.iterations=2000").for_stage(0.5).density
+    assert (of_3dgs.opacity_reset_every, of_3dgs.reset_recovery * of_3dgs.every) == (3000, 500)
+    assert budget("budget=paper", "budget.iterations=30000").for_stage(0.5).density.opacity_reset_every == 1500
+    lean = budget("budget=lean").for_stage(0.5)
+    assert (lean.sh_every, lean.harmonics.every) == (500, 250)

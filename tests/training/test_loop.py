@@ -125,3 +125,20 @@ def test_targets_are_kept_prepared_while_there_are_few_gaussians(small_gray_scen
         assert len(trainer.method.model) > before + 1
         kept.append(photometric._PREPARED.bytes > 0)
     assert kept == [False, True]
+
+
+def test_stages_are_set_up_outside_of_the_clock_and_their_psnr_begins_anew(small_scene, monkeypatch):
+    trainer, clock = ready_to_train(small_scene, "mftg", 8), SimpleNamespace(wall=0.0)
+    times = SimpleNamespace(perf_counter=lambda: clock.wall, process_time=lambda: clock.wall)
+    monkeypatch.setattr("tdgbench.training.loop.time", times)
+    monkeypatch.setattr(Step, "psnr", lambda step: 10.0 * (1 + trainer.stage_number))
+    advance = trainer.advance
+
+    def slowly(iterations):
+        clock.wall += 100
+        advance(iterations)
+
+    trainer.advance = slowly
+    log = train(trainer)
+    assert trainer.stage_number == 1 and log.seconds == 0
+    assert [line.psnr for line in log.lines] == [10.0] * 4 + [20.0] * 4

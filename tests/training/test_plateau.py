@@ -1,3 +1,5 @@
+import numpy as np
+import pytest
 import torch
 
 from tdgbench.training.plateau import Plateau, PlateauRule
@@ -31,3 +33,12 @@ def test_a_flat_loss_stops_after_its_patience():
 
 def test_one_better_window_starts_the_patience_anew():
     assert stops_at([1.0] * 10 + [0.5] * 5 + [0.5] * 100) == 25
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_windows_hold_whole_rounds_of_views(seed):
+    """Losses differ from view to view, not from round to round, whose orders are random; `after` ends within one."""
+    rng, of_views = np.random.default_rng(seed), [1.0, 2.0, 4.0, 8.0, 16.0]
+    losses = np.concatenate([rng.permutation(of_views) for _ in range(40)])
+    assert stops_at(losses, after=3, gain=1e-6) == 5 + 3 * 5
+    assert stops_at(losses, after=5, gain=1e-6, epochs=2) == 5 + 3 * 10

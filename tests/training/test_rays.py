@@ -75,6 +75,15 @@ def test_masked_pixels_are_not_drawn(small_gray_scene):
     assert of_first.mean() == pytest.approx(share, rel=0.1)
 
 
+def test_thermal_masks_hide_no_pixel_of_rgb_alone(small_gray_scene):
+    valid = np.zeros(small_gray_scene.train[0].thermal.shape[:2], bool)
+    valid[0, 0] = True
+    views = [replace(view, load_valid=lambda: valid) for view in small_gray_scene.train]
+    drawn = [batches(views, modalities=names).next(500) for names in (("rgb",), ("thermal", "rgb"))]
+    places = [np.unique(np.floor(place_of(batch, views) + 1e-3), axis=0) for batch in drawn]
+    assert len(places[0]) > 100 and len(places[1]) == 1
+
+
 def test_views_are_small_and_held_out_as_the_curriculum_says(small_gray_scene):
     views = small_gray_scene.train
     curriculum = Curriculum([Resolution(5, 4)], [views[1]])
@@ -107,5 +116,5 @@ def test_equal_seeds_draw_equal_rays_and_a_state_goes_on(small_gray_scene):
 
 
 def test_a_rig_is_refused(small_gray_scene):
-    with pytest.raises(ValueError, match="rig learns with Gaussians"):
+    with pytest.raises(ValueError, match="cannot learn the rig of the thermal camera"):
         ready_to_train(small_gray_scene, "thermonerf_thermal", 5, "thermal_camera.rig=true")

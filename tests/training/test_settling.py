@@ -328,3 +328,11 @@ def test_nothing_settles_before_a_given_number_of_gaussians_is_reached():
     filling.part.is_filling = lambda iteration: iteration < 400
     first = next(i for i in range(10, 1000, 10) if filling.reached(i) or filling.curriculum.settled_at)
     assert first == 400
+
+
+@pytest.mark.parametrize("iterations", [2, 10, 29, 100, 109, 1000])
+@pytest.mark.parametrize("tail", [0.1, 0.5])
+def test_a_training_that_never_settles_has_all_iterations(iterations, tail):
+    training = Scripted(lambda iteration, scale: 0.0, iterations, held_out=(), rule=replace(RULE, tail=tail))
+    ends = [i for i in range(1, iterations + 1) if training.reached(i)]
+    assert ends == [iterations] and training.settling.ends_at == iterations

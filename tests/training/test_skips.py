@@ -54,7 +54,10 @@ def accounted(trainer, log) -> dict[str, Skip]:
     curricula = [(one, context.budget.iterations) for context in trainer.contexts for one in context.curricula.values()]
     on_rgb = "rgb" in method.modalities
     budget = whole.budget
-    finished = Finished(whole.scene, on_rgb, budget.iterations, log.iterations, curricula, work)
+    finished = Finished(
+        whole.scene, on_rgb, budget.iterations, log.iterations, curricula, work, trainer.reached_plateau,
+        method.needs_prior, method.keeps_full_resolution,
+    )  # fmt: skip
     return {skip.name: skip for skip in account(budget, whole.skips, finished)}
 
 
@@ -75,6 +78,21 @@ def test_reasons_and_savings(small_gray_scene, small_scene):
     assert all(skip.reason for skip in gray.values())
     tdg = after(small_gray_scene, "tdg")
     assert tdg["depth"].taken and tdg["depth"].saved == "depth and its loss in 16 of 30 iterations"
+
+
+def test_reasons_are_those_of_the_method(small_gray_scene):
+    found = after(small_gray_scene, "depth_regularised")
+    assert found["depth"].reason == "its depth loss counts to the end"
+    trainer = ready_to_train(small_gray_scene, "thermal3dgs", 30, *LEAN)
+    assert accounted(trainer, train(trainer))["pixels"].reason == "the steps of this method need whole images"
+
+
+def test_a_plateau_is_no_reason_where_another_rule_ended_the_training(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "3dgs", 30, *OFTEN)
+    log = train(trainer)
+    log.iterations = 20  # as if a rule of the method had ended it there
+    found = accounted(trainer, log)["plateau"]
+    assert not found.taken and found.reason.startswith("the loss went on falling, or")
 
 
 def test_what_is_switched_off_says_so(small_gray_scene):

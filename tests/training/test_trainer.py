@@ -10,7 +10,7 @@ from tdgbench.training.checkpoint import Checkpoint
 from tdgbench.training.images import THERMAL
 from tdgbench.training.loop import train
 from tdgbench.training.method import Method, Stage, Step
-from tdgbench.training.part import NonFiniteError
+from tdgbench.training.part import NonFiniteError, Part
 from tdgbench.training.plateau import Plateau
 from tdgbench.training.trainer import Trainer
 from tests.helpers.training import ready_to_train
@@ -165,3 +165,12 @@ def test_radiance_fields_check_some_pixels_and_keep_their_resolution(small_gray_
     of_all = trainer.psnr_of(view)
     trainer.method.pixels_of_check = None
     assert of_all == pytest.approx(trainer.psnr_of(view), abs=1e-5)
+
+
+def test_parts_of_each_finished_stage_have_a_name(small_gray_scene):
+    trainer = ready_to_train(small_gray_scene, "3dgs", 3)
+    parts = [Part() for _ in range(4)]
+    trainer._finished = [("a", "x", parts[0]), ("a", "thermal", parts[1]), ("b", "x", parts[2]), ("b", "y", parts[3])]
+    found = trainer.all_parts()
+    assert [found[name] for name in ("a/x", "a/thermal", "x", "y")] == parts
+    assert list(found)[:4] == ["a/x", "a/thermal", "x", "y"] and found["thermal"] is trainer.parts["thermal"]
