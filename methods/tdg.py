@@ -56,7 +56,7 @@ class TDg(ThermalGaussianLosses):
         self.targets = DepthTargets(context.priors, context.device)
         self.backend = context.backend
         self.depth_end = int(self.decay_end * context.budget.schedule_length)  # t_end
-        self.skips_depth = self._decide_skip(context)
+        self.skips_depth = not self.needs_prior or self._decide_skip(context)
 
     def step(self, iteration: int) -> Step:
         view = self.views.next()
@@ -85,8 +85,6 @@ class TDg(ThermalGaussianLosses):
 
     def _decide_skip(self, context: Context) -> bool:
         """Decide whether iterations in which the depth loss moves nothing leave it out."""
-        if not self.needs_prior:
-            return True
         iterations = context.budget.iterations
         without, reason = min(iterations, max(0, iterations - self.depth_end + 1)), ""
         if self.depth_reading == "released":

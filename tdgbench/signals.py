@@ -96,12 +96,12 @@ def end_with_parent() -> None:
     other processes this does nothing.
     """
     parent = multiprocessing.parent_process()
-    if parent is None:
+    if parent is None or parent.pid is None:
         return
     import pycolmap  # noqa: F401 (its import replaces the handlers, see `Interruption.begin`)
 
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    watch(os.getppid(), lambda: os._exit(128 + signal.SIGKILL))
+    watch(parent.pid, lambda: os._exit(128 + signal.SIGKILL))
 
 
 def watch(parent: int, end: Callable[[], object]) -> None:

@@ -3,8 +3,8 @@
 In this order, within `--minutes`: the check of each backend; the tests marked `cuda`; trainings of TDg and MSMG with
 `lean`, three times with one seed; profiles of their steps; the whole suite, in a third of the time; the same trainings
 with `paper`. It prints tables and writes OUT/gpu.json, whole after each part. Each part is a process: one that fails,
-hangs or has no time is a reason in its place. Seconds and bytes are those of this machine. Without a GPU, `warp` runs
-on the CPU, slowly: use small images.
+hangs or has no time is a reason in its place. The exit status is 1 if no backend passed its check. Seconds and bytes
+are those of this machine. Without a GPU, `warp` runs on the CPU, slowly: use small images.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def main() -> None:
         print("\n" + table.to_string(index=False))
     print(f"\nin {found['seconds']:g} s; all of it: {measurement.file}")
     if all(check["reason"] for check in found["checks"].values()):
-        parser.exit(1, "no backend can train on a GPU here\n")
+        parser.exit(1, "no backend has passed its check\n")
 
 
 if __name__ == "__main__":

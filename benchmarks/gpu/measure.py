@@ -45,8 +45,6 @@ class Measurement:
         self.args.out.mkdir(parents=True, exist_ok=True)
         for backend in self.args.backends:
             self._keep("checks", backend, self._part("check", PART_SHARE, backend=backend)[0])
-        if all(map(self._unusable, self.args.backends)):
-            self.args.tests = False  # they would take the time, and say no more
         if self.args.tests:
             self._keep("tests", "marked cuda", self._tests(["-m", "cuda"]))
         cells = [(backend, method) for backend in self.args.backends for method in self.args.methods]
@@ -98,6 +96,9 @@ class Measurement:
 
     def _tests(self, options: list[str], where: str = "tests") -> dict[str, Any]:
         """Run the tests of a folder or file. Returns counts by outcome, those that failed, and how it ended."""
+        checks = self.found["checks"].values()
+        if checks and all(check["reason"] for check in checks):
+            return _without("no backend has passed its check")
         seconds = min(self.left, 60 * self.args.minutes * TESTS_SHARE)
         if seconds < FEWEST_SECONDS:
             return _without("there was no time for them")

@@ -65,8 +65,8 @@ def describe_training(record: Record, ready: Training, log: TrainingLog, skips: 
     budget, method = trainer.whole_context.budget, trainer.method
     on_rgb = "rgb" in method.modalities
     finished = Finished(
-        scene, on_rgb, budget.iterations, log.iterations, curricula, work, trainer.reached_plateau, method.needs_prior,
-        method.keeps_full_resolution,
+        scene, on_rgb, budget.iterations, log.iterations, curricula, work, trainer.reached_plateau,
+        any("depth" in line.terms for line in log.lines), method.keeps_full_resolution,
     )  # fmt: skip
     record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(budget, skips, finished)]
 

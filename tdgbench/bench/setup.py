@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 
@@ -77,10 +78,13 @@ def set_up(
     of estimated priors, by default they are estimated again. compiles: compile the kernels now, so that training does
     not pay for it.
     """
+    torch.backends.cudnn.allow_tf32 = False  # by default convolutions on a GPU keep 10 bits of what they multiply
     observer, skips = observer or SetupObserver(), skips or Skips()
     budget, options = instantiate(cfg.budget), instantiate(cfg.thermal_camera)
     method = instantiate(cfg.method.method) if method is None else method
     method.name = str(cfg.method.name)
+    if options.rig is True and not method.can_learn_rig:
+        raise ValueError(f"{method.name} cannot learn the rig of the thermal camera: use thermal_camera.rig=false")
     with observer.phase("images"):  # all of them, so that a broken image fails here and training does not wait
         _read_images(scene, method, skips)
     ideal, response = _correct_thermal_camera(scene, method, options, observer)
@@ -179,8 +183,6 @@ def _correct_thermal_camera(
 
 def _learns_rig(options: ThermalCameraOptions, method: Method, context: Context, observer: SetupObserver) -> bool:
     """Return whether the pose and lens of the thermal camera are learnt; of `auto`, a trial decides."""
-    if options.rig is True and not method.can_learn_rig:
-        raise ValueError(f"{method.name} cannot learn the rig of the thermal camera: use thermal_camera.rig=false")
     if options.rig != "auto":
         return options.rig
     with observer.phase("rig"):

@@ -89,9 +89,9 @@ class Budget:
     def for_stage(self, share: float, before: float = 0.0) -> Budget:
         """Return the budget of a stage that has a share of the iterations; its schedules begin at its first one.
 
-        before: share of the stages before it; all stages together have the iterations of the budget. Schedules of
-        Gaussians that are longer than the stage are shortened to it: a stage is a training of its own. Opacity resets
-        keep their distance where they would come before the model has recovered from the last one.
+        before: share of the stages before it; all stages together have the iterations of the budget, if each has one.
+        Schedules of Gaussians that are longer than the stage are shortened to it: a stage is a training of its own.
+        Opacity resets are no nearer to one another than a model takes to recover from one.
         """
         if share == 1.0:
             return self
@@ -102,7 +102,7 @@ class Budget:
             return max(1, round(shorter * count))
 
         density = self.density
-        resets = shortened(density.opacity_reset_every)
+        recovery = density.reset_recovery * density.every
         return replace(
             self,
             iterations=iterations,
@@ -113,9 +113,7 @@ class Budget:
                 density,
                 start=shortened(density.start),
                 stop=shortened(density.stop),
-                opacity_reset_every=density.opacity_reset_every
-                if resets < density.reset_recovery * density.every
-                else resets,
+                opacity_reset_every=max(shortened(density.opacity_reset_every), recovery),
             ),
             harmonics=self.harmonics and replace(self.harmonics, every=shortened(self.harmonics.every)),
             plateau=self.plateau and replace(self.plateau, after=shortened(self.plateau.after)),

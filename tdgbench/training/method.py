@@ -79,7 +79,7 @@ class Method:
     can_learn_rig: bool = True  # of the thermal camera (`tdgbench.training.rig`)
     keeps_full_resolution: bool = False  # its steps take as long at low resolutions: no rule begins with these
     pixels_of_check: int | None = None  # that are rendered of a held-out view by `render_pixels`; None: the whole image
-    needs_prior: bool = False  # whether `context.priors` has a depth prior per training view, for a loss of depth
+    needs_prior: bool = False  # whether `context.priors` has a depth prior per training view; options may decide
     trains: bool = True  # False: what it renders was made elsewhere; it is set up and makes no step
     notes: Sequence[str] = ()  # of `setup`, for the record and the terminal
 

@@ -16,7 +16,8 @@ from tdgbench.training.skips import Finished, Skip
 class PlateauRule(Rule):
     """End a training after `patience` windows in a row whose mean loss is not below the best one by `gain`.
 
-    A window is `epochs` rounds of all training views, so that every view has equal weight in it.
+    A window is `epochs` rounds of all training views, so that every view has equal weight in it; rounds begin with the
+    stage, whose steps take a view each.
     """
 
     ends_training = True
@@ -55,7 +56,7 @@ class Plateau(Stopping):
         self._reached = False
 
     @property
-    def has_ended(self) -> bool:
+    def is_flat(self) -> bool:
         """Whether the loss has reached a plateau."""
         return self._reached
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from tdgbench.fields import Rays, rays_of
 from tdgbench.scenes import View
 from tdgbench.training.curriculum import Curriculum
-from tdgbench.training.images import MODALITIES
+from tdgbench.training.images import MODALITIES, THERMAL
 from tdgbench.training.part import RandomStream
 
 
@@ -38,7 +38,7 @@ class _Pixels(NamedTuple):
 
 
 class RayBatches(RandomStream):
-    """Draws pixels uniformly among those of all training views that count in each modality, with replacement."""
+    """Draws pixels uniformly among all of the training views, with replacement; of thermal images, those that count."""
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class RayBatches(RandomStream):
         shown = [(n, self.curriculum.at_resolution(v)) for n, v in enumerate(self.views) if self.curriculum.shows(v)]
         views = [view for _, view in shown]
         sizes = np.array([view.camera.width * view.camera.height for view in views])
-        valid, masks = None, [self._mask(view) for view in views]
+        valid, masks = None, [THERMAL.valid(view) if THERMAL.name in self.modalities else None for view in views]
         if any(mask is not None for mask in masks):
             full = [np.ones(size, bool) if m is None else m.ravel() for m, size in zip(masks, sizes, strict=True)]
             valid = torch.from_numpy(np.concatenate(full)).nonzero().squeeze(1).to(self.device)
@@ -99,8 +99,3 @@ class RayBatches(RandomStream):
         )
         count = int(sizes.sum()) if valid is None else len(valid)
         return _Pixels(numbers, starts, widths, valid, count, K, viewmats, values)
-
-    def _mask(self, view: View) -> np.ndarray | None:
-        """Return which pixels of a view count, bool (H, W); None: all of them."""
-        masks = [mask for name in self.modalities if (mask := MODALITIES[name].valid(view)) is not None]
-        return np.logical_and.reduce(masks) if masks else None

@@ -119,7 +119,7 @@ class Finished(NamedTuple):
     iterations: int  # trained
     curricula: list[tuple[Curriculum, int]]  # of each stage and modality, with the iterations of the stage's budget
     work: list[Work]  # of each set of Gaussians
-    reached_plateau: bool  # whether the rule for a plateau ended a stage
+    reached_plateau: bool  # the loss, by the rule
     has_depth_loss: bool
     keeps_full_resolution: bool
 

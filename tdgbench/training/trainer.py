@@ -47,7 +47,6 @@ class Trainer:
         whole = self.whole_context
         self._rig = Rig(whole.scene.extent, whole.device) if whole.learns_rig else None
         self.on_gpu, self.pending = whole.device.type != "cpu", Pending()
-        torch.backends.cudnn.allow_tf32 = False  # by default convolutions on a GPU keep 10 bits of what they multiply
         self.stage_number, self.stage_start, self._reached_plateau = 0, 0, False
         self.contexts: list[Context] = []  # of the stages so far
         self._finished: list[tuple[str, str, Part]] = []  # stage, name and part
@@ -93,8 +92,8 @@ class Trainer:
 
     @property
     def reached_plateau(self) -> bool:
-        """Whether the rule for a plateau has ended this stage or one before."""
-        return self._reached_plateau or (isinstance(self.stopping, Plateau) and self.stopping.has_ended)
+        """Whether the loss has reached a plateau by the rule, in this stage or one before."""
+        return self._reached_plateau or (isinstance(self.stopping, Plateau) and self.stopping.is_flat)
 
     @property
     def last_iteration(self) -> LastIteration:

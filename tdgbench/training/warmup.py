@@ -44,7 +44,7 @@ def compile_field_kernels(backend: str) -> None:
 
 
 def _take_steps(channels: set[int], budget: Budget, backend: str, depth: bool, masked: bool) -> None:
-    """Take three steps for each channel count: the second with two views and their depth, the third through a hook."""
+    """Take three steps for each channel count: of one view; of two, with their depth if needed; through a hook."""
     pose = np.eye(4)
     pose[2, 3] = 2.0
     K = np.array([[_SIZE, 0, _SIZE / 2], [0, _SIZE, _SIZE / 2], [0, 0, 1.0]])

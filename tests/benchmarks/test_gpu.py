@@ -52,6 +52,11 @@ def measurement(tmp_path):
     return measure.Measurement(args)
 
 
+def test_without_a_backend_no_time_goes_to_tests(measurement):
+    measurement.found["checks"] = {"warp": {"reason": "it is not installed"}}
+    assert measurement._tests([])["n/a"] == "no backend has passed its check"
+
+
 def test_a_part_that_fails_loses_nothing(measurement):
     """A child that crashes after its first repetition; then a training that raises."""
     measurement.found["checks"] = {"warp": {"reason": ""}}

@@ -56,7 +56,7 @@ def accounted(trainer, log) -> dict[str, Skip]:
     budget = whole.budget
     finished = Finished(
         whole.scene, on_rgb, budget.iterations, log.iterations, curricula, work, trainer.reached_plateau,
-        method.needs_prior, method.keeps_full_resolution,
+        any("depth" in line.terms for line in log.lines), method.keeps_full_resolution,
     )  # fmt: skip
     return {skip.name: skip for skip in account(budget, whole.skips, finished)}
 
@@ -83,6 +83,7 @@ def test_reasons_and_savings(small_gray_scene, small_scene):
 def test_reasons_are_those_of_the_method(small_gray_scene):
     found = after(small_gray_scene, "depth_regularised")
     assert found["depth"].reason == "its depth loss counts to the end"
+    assert after(small_gray_scene, "sad_gs")["depth"].reason == "the method has no depth loss"
     trainer = ready_to_train(small_gray_scene, "thermal3dgs", 30, *LEAN)
     assert accounted(trainer, train(trainer))["pixels"].reason == "the steps of this method need whole images"
 

@@ -58,7 +58,8 @@ def check_in_new_process(
 
     After `limit` seconds, it is killed with the compilers that it started. command: stands in for the check in tests.
     """
-    ended = run_limited(command or [sys.executable, "-m", __name__, backend, str(device)], limit, PACKAGE.parent)
+    own = [sys.executable, "-m", __name__, backend, str(device), str(os.getpid())]
+    ended = run_limited(command or own, limit, PACKAGE.parent)
     if ended.status == 0:
         with suppress(ValueError, TypeError, IndexError):
             return BackendCheck(**json.loads(ended.out.strip().splitlines()[-1]))
@@ -143,9 +144,9 @@ def _spread(first: Rendered, other: Rendered) -> float:
 def main() -> None:
     """Check the backend that the first argument names on the device of the second; write the outcome as JSON.
 
-    The process leads a group of its own: if the one that started it is killed, it ends with its compilers.
+    The third is the process that started this one. If that is killed, this one ends with its group: its compilers.
     """
-    watch(os.getppid(), lambda: os.killpg(0, signal.SIGKILL))
+    watch(int(sys.argv[3]), lambda: os.killpg(0, signal.SIGKILL))
     with torch.cuda.device(int(sys.argv[2])):
         sys.stdout.write(json.dumps(asdict(check(sys.argv[1]))) + "\n")
 

@@ -39,7 +39,7 @@ def available_cores() -> int:
 def quota(cgroup: Path = Path("/sys/fs/cgroup")) -> float:
     """Return how many cores a container may use at a time (`docker --cpus`); infinity where nothing says so."""
     for names in (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us")):  # of cgroups v2 and v1
-        with suppress(OSError, ValueError):
+        with suppress(OSError, ValueError, ZeroDivisionError):
             limit, period = " ".join((cgroup / name).read_text(encoding="ascii") for name in names).split()
             if limit not in ("max", "-1"):
                 return int(limit) / int(period)

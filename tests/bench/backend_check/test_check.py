@@ -172,10 +172,12 @@ def test_one_that_says_yes_is_believed():
 
 def test_the_process_that_is_started_is_the_check(monkeypatch, capsys):
     """`cpu` passes on any machine."""
-    monkeypatch.setattr(sys, "argv", ["process", "cpu", "0"])
+    watched = []
+    monkeypatch.setattr(sys, "argv", ["process", "cpu", "0", "7"])
+    monkeypatch.setattr(checking, "watch", lambda parent, end: watched.append(parent))
     monkeypatch.setattr("torch.cuda.device", contextlib.nullcontext)
     checking.main()
-    assert BackendCheck(**json.loads(capsys.readouterr().out)).reason == ""
+    assert BackendCheck(**json.loads(capsys.readouterr().out)).reason == "" and watched == [7]
 
 
 @pytest.mark.cuda

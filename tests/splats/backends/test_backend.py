@@ -71,7 +71,7 @@ def test_a_new_backend_renders(double):
 
 def test_a_new_backend_trains(double, small_gray_scene):
     compile_kernels({1}, instantiate(config("budget=demo").budget), "double")
-    assert double.CALLS == [([1], True), *["render"] * 5]
+    assert [([1], True), *["render"] * 5] == double.CALLS
     trainer = ready_to_train(small_gray_scene, "tdg", 3)
     method = trainer.method
     method.model.backend = method.backend = "double"
