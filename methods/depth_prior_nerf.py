@@ -47,7 +47,7 @@ class DepthPriorNeRF(ThermoNeRF):
 
         def prior_of(view: View) -> Tensor:
             """Return depth and standard deviation (H, W, 2), world units, of a view; 0 where unknown."""
-            values = depths[view.name].resized(view.camera.width, view.camera.height).values
+            values = depths[view.name].of_view(view).values
             depth = np.where(np.isfinite(values) & (values > 0), values, np.float32(0))
             spread = np.maximum(np.float32(deviations[view.name]), np.float32(self.least_deviation) * depth)
             return torch.from_numpy(np.stack([depth, spread], axis=2))

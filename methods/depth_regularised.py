@@ -131,9 +131,8 @@ class Targets:
         """Return depth (H, W), world units, 0 where unknown; where it is known, and no edges, bool (H, W)."""
         size = (view.camera.height, view.camera.width)
         if view.name not in self._of or self._of[view.name][0].shape != size:
-            values = self._depths[view.name].resized(view.camera.width, view.camera.height).values
+            values = self._depths[view.name].of_view(view).values
             known = np.isfinite(values) & (values > 0)
-            known = known if view.valid is None else known & view.valid
             flat = ~canny((view.thermal * 255).astype(np.uint8), *EDGES)
             arrays = (np.where(known, values, np.float32(0)), known, flat)
             found = [torch.from_numpy(array).to(self._device) for array in arrays]

@@ -108,13 +108,13 @@ class DepthTarget:
         return self.normalised[..., None]
 
     @classmethod
-    def from_prior(cls, prior: DepthPrior, device: torch.device, counts: np.ndarray | None = None) -> DepthTarget:
-        """Normalise a prior. counts: mask (H, W) of its pixels; None: all count."""
-        values = torch.from_numpy(prior.values if counts is None else np.where(counts, prior.values, np.nan)).to(device)
+    def from_prior(cls, prior: DepthPrior, device: torch.device) -> DepthTarget:
+        """Normalise a prior."""
+        values = torch.from_numpy(prior.values).to(device)
         valid = torch.isfinite(values)
         if bool(valid.all()):
             return cls(min_max(values), None, prior.kind)
-        known = int(valid.flatten().int().argmax()) if bool(valid.any()) else -1
+        known = int(np.isfinite(prior.values).argmax()) if bool(valid.any()) else -1
         normalised = torch.where(valid, min_max(_fill_unknown(values, valid, known)), 0.0)
         return cls(normalised, valid, prior.kind, known)
 
@@ -137,8 +137,7 @@ class DepthTargets:
         """Return the target of a view, in the size of its image."""
         size = (view.camera.height, view.camera.width)
         if view.name not in self.made or self.made[view.name].normalised.shape != size:
-            prior = self._priors[view.name].resized(view.camera.width, view.camera.height)
-            self.made[view.name] = DepthTarget.from_prior(prior, self._device, view.valid)
+            self.made[view.name] = DepthTarget.from_prior(self._priors[view.name].of_view(view), self._device)
         return self.made[view.name]
 
 

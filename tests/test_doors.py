@@ -29,7 +29,7 @@ DOORS = {
         "distribution('tdgbench').read_text": OURS,
         "subprocess.run": "git, in tdgbench's checkout",
     },
-    "tdgbench/bench/environment.py": {"path.read_bytes": OURS, "subprocess.run": "macOS's sysctl"},
+    "tdgbench/bench/environment.py": {"path.read_bytes": OURS},
     "tdgbench/cells/known_classes.py": {
         "get_class": "names of conf/, and of --trust and --config-dir, that a record's `_target_` equals",
         "OmegaConf.load": "YAML of conf/ and of --config-dir",

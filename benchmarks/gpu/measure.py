@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TESTS_SHARE = 0.35  # of all the time, that the tests marked `cuda` have at most, and again the whole suite
 PART_SHARE = 0.5  # of the time that is left, so that one that hangs leaves some to the others
 FEWEST_SECONDS = 10.0  # a part that has less does not begin
-COLLECT = ("--continue-on-collection-errors",)  # a package that one file of tests lacks costs that file
+NO_BACKEND = "no backend has passed its check"
 OUTCOMES = ("PASSED", "FAILED", "ERROR", "SKIPPED", "XFAIL")
 
 
@@ -39,6 +39,12 @@ class Measurement:
     def left(self) -> float:
         """Seconds that are left."""
         return self.start + 60 * self.args.minutes - time.monotonic()
+
+    @property
+    def has_no_backend(self) -> bool:
+        """Whether backends were checked, and none passed."""
+        checks = self.found["checks"].values()
+        return bool(checks) and all(check["reason"] for check in checks)
 
     def run(self) -> dict[str, Any]:
         """Run all parts, the most important ones first."""
@@ -96,15 +102,15 @@ class Measurement:
 
     def _tests(self, options: list[str], where: str = "tests") -> dict[str, Any]:
         """Run the tests of a folder or file. Returns counts by outcome, those that failed, and how it ended."""
-        checks = self.found["checks"].values()
-        if checks and all(check["reason"] for check in checks):
-            return _without("no backend has passed its check")
+        if self.has_no_backend:
+            return _without(NO_BACKEND)
         seconds = min(self.left, 60 * self.args.minutes * TESTS_SHARE)
         if seconds < FEWEST_SECONDS:
             return _without("there was no time for them")
         if importlib.util.find_spec("xdist") and not options:
             options = ["-n", "auto", "--dist", "loadfile"]
-        command = [sys.executable, "-m", "pytest", "-vv", "-p", "no:cacheprovider", *COLLECT, *options, where]
+        command = [sys.executable, "-m", "pytest", "-vv", "-p", "no:cacheprovider", *options, where]
+        command.append("--continue-on-collection-errors")  # a package that one file of tests lacks costs that file
         return counts_of(run_limited(command, seconds, ROOT))
 
     def _keep(self, kind: str, name: str, found: dict[str, Any]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
-import subprocess
 import sys
 import sysconfig
 from collections.abc import Iterator
@@ -14,7 +13,7 @@ from pathlib import Path
 
 from tdgbench import __version__
 from tdgbench.bench.commit import HASHED, ROOT, git_state
-from tdgbench.bench.machine import describe_gpu, proc_field
+from tdgbench.bench.machine import describe_gpu, first_line_of, proc_field
 from tdgbench.splats.backends.backend import installed_version
 from tdgbench.splats.cpu import pool
 from tdgbench.splats.cpu.simd.registers import LANES
@@ -77,6 +76,5 @@ def _plug_in_files(config: object) -> Iterator[Path]:
 def cpu_model() -> str:
     """Return the name of the processor, as precise as the platform gives it."""
     if sys.platform == "darwin":  # where `platform` says `arm` of all of Apple's
-        named = subprocess.run(["sysctl", "-n", "machdep.cpu.brand_string"], capture_output=True, text=True)
-        return named.stdout.strip() or platform.machine()
+        return first_line_of("sysctl", "-n", "machdep.cpu.brand_string") or platform.machine()
     return proc_field(Path("/proc/cpuinfo"), "model name") or platform.processor() or platform.machine()

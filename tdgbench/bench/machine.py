@@ -62,7 +62,11 @@ def describe_gpu() -> dict[str, Any] | None:
 @cache
 def _driver() -> str | None:
     """Return the version of the NVIDIA driver; None if nvidia-smi does not report it."""
-    command = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
+    return first_line_of("nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader")
+
+
+def first_line_of(*command: str) -> str | None:
+    """Return the first line that a program of the system prints; None if there is none."""
     with contextlib.suppress(OSError, subprocess.SubprocessError):
         output = subprocess.run(command, capture_output=True, text=True, check=True, timeout=10).stdout
         return output.splitlines()[0].strip() if output.strip() else None

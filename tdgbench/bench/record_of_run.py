@@ -29,6 +29,7 @@ from tdgbench.training.budget import account
 from tdgbench.training.loop import TrainingLog
 from tdgbench.training.skips import NO_GAUSSIANS, Finished, Skips
 from tdgbench.training.splat_model import SplatModel
+from tdgbench.training.trainer import Trainer
 
 GRAY = "gray, in three equal channels"
 
@@ -60,15 +61,24 @@ def describe_training(record: Record, ready: Training, log: TrainingLog, skips: 
         record.missing["gaussians"] = NO_GAUSSIANS
     record.seconds["train"], record.iterations = round(log.seconds, 3), log.iterations
     record.train_processor_seconds = round(log.processor_seconds, 3)
-    work = [part.work for part in trainer.all_parts().values() if isinstance(part, SplatModel)]
-    curricula = [(one, it.budget.iterations) for it in trainer.contexts for one in it.curricula.values()]
-    budget, method = trainer.whole_context.budget, trainer.method
-    on_rgb = "rgb" in method.modalities
-    finished = Finished(
-        scene, on_rgb, budget.iterations, log.iterations, curricula, work, trainer.reached_plateau,
-        any("depth" in line.terms for line in log.lines), method.keeps_full_resolution,
-    )  # fmt: skip
-    record.skips = [cast(SkipRecord, asdict(skip)) for skip in account(budget, skips, finished)]
+    accounts = account(trainer.whole_context.budget, skips, finished(trainer, log, scene))
+    record.skips = [cast(SkipRecord, asdict(skip)) for skip in accounts]
+
+
+def finished(trainer: Trainer, log: TrainingLog, scene: Scene) -> Finished:
+    """Return what the account of skips reads of a training that is over."""
+    method = trainer.method
+    return Finished(
+        scene=scene,
+        trains_on_rgb="rgb" in method.modalities,
+        planned=trainer.whole_context.budget.iterations,
+        iterations=log.iterations,
+        curricula=[(one, it.budget.iterations) for it in trainer.contexts for one in it.curricula.values()],
+        work=[part.work for part in trainer.all_parts().values() if isinstance(part, SplatModel)],
+        reached_plateau=trainer.reached_plateau,
+        has_depth_loss=any("depth" in line.terms for line in log.lines),
+        keeps_full_resolution=method.keeps_full_resolution,
+    )
 
 
 def state_assumptions(record: Record, scene: Scene) -> None:

@@ -99,6 +99,13 @@ class DepthPrior:
         unknown = np.float32(np.nan)
         return DepthPrior(np.divide(sums, share, out=np.full_like(sums, unknown), where=share > 0), self.kind)
 
+    def of_view(self, view: View) -> DepthPrior:
+        """Return the map in the size of the view's image, unknown at its masked pixels."""
+        found = self.resized(view.camera.width, view.camera.height)
+        if view.valid is None:
+            return found
+        return DepthPrior(np.where(view.valid, found.values, np.float32(np.nan)), self.kind)
+
 
 class DepthEstimator(Protocol):
     """D = f(I_thermal): TDg, eq. 2."""
@@ -136,7 +143,9 @@ def unavailable(prior: str, reason: str, remedy: str) -> Iterator[None]:
 
 def importing(prior: str, extra: str = "depth") -> AbstractContextManager[None]:
     """Turn errors of importing the packages of an extra into PriorUnavailableError."""
-    remedy = f"pip install -e '.[{extra}]'; a torchvision of another build than torch's breaks them: pip uninstall it"
+    remedy = f"pip install -e '.[{extra}]'"
+    if extra == "depth":
+        remedy += "; a torchvision of another build than torch's breaks them: pip uninstall it"
     return unavailable(prior, "a package is missing or broken", remedy)
 
 

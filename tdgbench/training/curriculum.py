@@ -63,13 +63,10 @@ class Curriculum(Part):
         """Go on to the next resolution."""
         self._use(min(self._step + 1, len(self.resolutions)))
 
-    def settle(self, scale: int, tail: float, reason: str = "", left: int | None = None) -> None:
-        """Train on the held-out views as well from now on, at a fixed scale.
-
-        tail: iterations that are left, as a share of those so far, unless `left` states them.
-        """
+    def settle(self, scale: int, tail: float, reason: str = "") -> None:
+        """Train on the held-out views as well from now on, at a fixed scale. tail: share of the iterations so far."""
         self.is_holding, self.settled_at, self.reason = False, max(1, self._iteration), reason
-        self.tail = max(1, round(tail * self.settled_at)) if left is None else left
+        self.tail = max(1, round(tail * self.settled_at))
         self._use(self._scales.index(scale))
 
     def _use(self, step: int) -> None:

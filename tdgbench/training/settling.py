@@ -115,7 +115,7 @@ class Settling(Stopping):
         if not self.curriculum.settled_at:
             if iteration >= self.rule.latest(self.iterations):
                 seen = "held-out views may still gain" if self.curriculum.checks else "no held-out view was looked at"
-                left = max(1, self.iterations - iteration)
+                left = (self.iterations - iteration) / iteration
                 self._settle(1, f"the last iterations are left, and {seen}", left)
             elif iteration % self.rule.every == 0 and self.curriculum.held_out:
                 self._check(iteration)
@@ -181,9 +181,9 @@ class Settling(Stopping):
         slope = theilslopes(psnrs, np.log2(iterations), CONFIDENCE).high_slope
         return bool(slope * math.log2(1 + rule.horizon / now) < rule.gain)
 
-    def _settle(self, scale: int, reason: str, left: int | None = None) -> None:
-        """Begin the tail, at a scale. left: its iterations; None: as the rule says."""
-        self.curriculum.settle(scale, self.rule.tail, reason, left)
+    def _settle(self, scale: int, reason: str, tail: float | None = None) -> None:
+        """Begin the tail, at a scale. tail: share of the iterations so far; None: the rule's."""
+        self.curriculum.settle(scale, self.rule.tail if tail is None else tail, reason)
         self._stop_growth()
 
     def _slow_down(self, iteration: int) -> None:

@@ -3,9 +3,10 @@ import copy
 import pytest
 from hydra.utils import instantiate
 
+from tdgbench.bench.record_of_run import finished
 from tdgbench.training.budget import SKIP_RULES, account
 from tdgbench.training.loop import train
-from tdgbench.training.skips import SWITCHES, Finished, Skip, Skips
+from tdgbench.training.skips import SWITCHES, Skip, Skips
 from tests.helpers.configs import config
 from tests.helpers.training import OFTEN, ready_to_train
 
@@ -49,16 +50,8 @@ def test_depth_is_left_out_of_iterations():
 
 def accounted(trainer, log) -> dict[str, Skip]:
     """The account of a training, by the name of the skip or rule."""
-    whole, method = trainer.whole_context, trainer.method
-    work = [model.work for model in trainer.gaussians.values()]
-    curricula = [(one, context.budget.iterations) for context in trainer.contexts for one in context.curricula.values()]
-    on_rgb = "rgb" in method.modalities
-    budget = whole.budget
-    finished = Finished(
-        whole.scene, on_rgb, budget.iterations, log.iterations, curricula, work, trainer.reached_plateau,
-        any("depth" in line.terms for line in log.lines), method.keeps_full_resolution,
-    )  # fmt: skip
-    return {skip.name: skip for skip in account(budget, whole.skips, finished)}
+    whole = trainer.whole_context
+    return {skip.name: skip for skip in account(whole.budget, whole.skips, finished(trainer, log, whole.scene))}
 
 
 def after(scene, name="3dgs", **allowed):
