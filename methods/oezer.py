@@ -7,10 +7,11 @@ and order: mert-o/ThermalNeRFs, commit d822bd10.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
+import numpy as np
 import torch
 from pydantic import Field, PositiveFloat, PositiveInt
 from torch import Tensor, nn
@@ -20,14 +21,16 @@ from tdgbench.fields import (
     MLP,
     DensityField,
     FieldAdam,
+    Frustum,
     GridOptions,
     OccupancyGrid,
     Rays,
     encoded_directions,
     march,
+    visible_cells,
 )
 from tdgbench.fields.volume import composited, transmittance_of, weights_of
-from tdgbench.scenes import TemperatureRange
+from tdgbench.scenes import Camera, TemperatureRange
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
 from tdgbench.training.field_method import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
@@ -163,6 +166,24 @@ class InstantThermal(FieldMethod):
     update_every: PositiveInt  # iterations between updates of the occupancy grid
     averaging: Share  # factor of the averaged weights after an epoch
     epochs: PositiveInt  # in all iterations
+    bound: PositiveFloat  # half the largest box, × the largest distance of a camera from the cameras' mean
+    near_percentile: Annotated[float, Field(ge=0, le=100)]  # of the depths of a view's points: it shows nothing nearer
+
+    def placed(self, points: np.ndarray, cameras: Sequence[Camera]) -> None:
+        """Leave cells empty that are outside of the points' box, or that no camera shows (`mark_untrained_grid`)."""
+        centres = np.stack([camera.center for camera in cameras])
+        middle = centres.mean(axis=0)
+        largest = self.bound * np.linalg.norm(centres - middle, axis=1).max() or np.inf  # cameras in one place
+        box = np.stack([points.min(axis=0), points.max(axis=0)]).clip(middle - largest, middle + largest)
+        frustums = []
+        for camera in cameras:
+            pixels, z = camera.project(points)
+            shown = z[camera.holds(pixels, z)]
+            near = float(np.percentile(shown, self.near_percentile)) if len(shown) else 0.0
+            frustums.append(Frustum(camera.K, camera.world_to_camera, camera.width, camera.height, near))
+        occupancy = self.field.occupancy
+        visible = visible_cells(occupancy.cells, self.field.region, box, frustums)
+        occupancy.leave_empty(~visible.to(occupancy.densities.device))
 
     def begin(self, context: Context, outputs: Mapping[str, Output], whole: int) -> None:
         """Make the field of a stage and the parts around it; whole: iterations of all stages."""

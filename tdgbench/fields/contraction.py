@@ -31,6 +31,12 @@ class Region(NamedTuple):
         length = x.norm(dim=-1, keepdim=True).clamp_min(1.0)
         return (0.5 + (2 * length - 1) / length.square() * x / 4).clamp(0, _BOX)
 
+    def expanded(self, contracted: Tensor) -> Tensor:
+        """Return the world positions (..., 3) of contracted ones, which lie within the sphere at infinity."""
+        x = 4 * (contracted - 0.5)
+        length = x.norm(dim=-1, keepdim=True).clamp_min(1.0)
+        return x / (length * (2 - length)) * self.radius + x.new_tensor(self.center)
+
 
 def region_of(points: np.ndarray, world_to_camera: np.ndarray) -> Region:
     """Return the region of a scene with points (N, 3), world, and training cameras (V, 4, 4).

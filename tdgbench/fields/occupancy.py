@@ -18,7 +18,10 @@ LARGEST_THRESHOLD = 10.0  # density per radius of the region, above which a cell
 
 
 class OccupancyGrid(nn.Module):
-    """Densities of the cells of [0, 1]³, contracted positions; a cell is occupied if it is denser than the mean."""
+    """Densities of the cells of [0, 1]³, contracted positions; a cell is occupied if it is denser than the mean.
+
+    Cells that are left empty have the density −1, and count as 0 in the mean.
+    """
 
     densities: Tensor
 
@@ -31,29 +34,34 @@ class OccupancyGrid(nn.Module):
     def occupied(self, contracted: Tensor) -> Tensor:
         """Return whether the cells of positions (N, 3) in [0, 1) are occupied, bool (N,)."""
         x, y, z = (contracted * self.cells).long().unbind(dim=1)
-        threshold = self.densities.mean().clamp(max=LARGEST_THRESHOLD)
+        threshold = self.densities.clamp_min(0).mean().clamp(max=LARGEST_THRESHOLD)
         return (self.densities > threshold)[x + self.cells * (y + self.cells * z)]
+
+    def leave_empty(self, cells: Tensor) -> None:
+        """Leave cells empty from now on, whatever the field says. cells: bool (cells³,), x first."""
+        self.densities[cells] = -1.0
 
     @torch.no_grad()
     def update(self, density_of: Callable[[Tensor], Tensor], generator: torch.Generator, everywhere: bool) -> None:
         """Set the density of cells to the larger of the decayed old one, and the field's at a random place in the cell.
 
         density_of: densities (N,) of positions (N, 3). everywhere: in all cells, else in as many as half of them: a
-        quarter drawn among all cells, a quarter among those with density, with replacement.
+        quarter drawn among all cells, a quarter among those with density, with replacement. Without those left empty.
         """
-        device, count = self.densities.device, self.cells**3
-        if everywhere:
-            drawn = torch.arange(count)
-        else:
+        count, before = self.cells**3, self.densities.cpu()
+        drawn = torch.arange(count)
+        if not everywhere:
             drawn = torch.randint(count, (count // 4,), generator=generator)
-            dense = self.densities.cpu().nonzero().squeeze(1)
+            dense = (before > 0).nonzero().squeeze(1)
             if len(dense):
                 again = dense[torch.randint(len(dense), (count // 4,), generator=generator)]
                 drawn = torch.cat([drawn, again])
+        drawn = drawn[before[drawn] >= 0]
         corner = torch.stack([drawn % self.cells, drawn // self.cells % self.cells, drawn // self.cells**2], dim=1)
         positions = (corner + torch.rand(len(drawn), 3, generator=generator)) / self.cells
-        found = density_of(positions.to(device))
-        largest = torch.full_like(self.densities, -1.0).scatter_reduce_(0, drawn.to(device), found, "amax")
+        found = density_of(positions.to(self.densities))
+        places = drawn.to(found.device)
+        largest = torch.full_like(self.densities, -1.0).scatter_reduce_(0, places, found, "amax")
         new = torch.maximum(DECAY * self.densities, largest)
         self.densities.copy_(torch.where(largest >= 0, new, self.densities))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from tdgbench.fields import DensityField, Rays, Region, image_rays, rays_of, region_of
-from tdgbench.scenes import Scene
+from tdgbench.scenes import Camera, Scene
 from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget, FieldSize
 from tdgbench.training.context import Context
@@ -95,13 +96,18 @@ class FieldMethod(Method):
             raise ValueError("the budget lacks `field`, the size of a radiance field; see conf/budget/paper.yaml")
         self.size = context.budget.field
         self._points = context.points.points
-        self._poses = np.stack([view.camera.world_to_camera for view in context.scene.train])
+        self._cameras = [view.camera for view in context.scene.train]
         return self.size
 
     def place(self) -> None:
         """Find the field's region, unless it is known: not in the set-up, which stored cells have without points."""
         if not self.field.is_placed:
-            self.field.region = region_of(self._points, self._poses)
+            poses = np.stack([camera.world_to_camera for camera in self._cameras])
+            self.field.region = region_of(self._points, poses)
+            self.placed(self._points, self._cameras)
+
+    def placed(self, points: np.ndarray, cameras: Sequence[Camera]) -> None:
+        """Take what else depends on the points (N, 3) and cameras that the field was placed by."""
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:

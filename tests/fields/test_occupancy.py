@@ -115,3 +115,21 @@ def test_partial_updates_draw_half_of_the_cells_at_most_and_leave_the_others():
     drawn = torch.zeros(CELLS**3, dtype=torch.bool)
     drawn[x + CELLS * y + CELLS**2 * z] = True
     assert torch.equal(grid.densities, torch.where(drawn, 1000.0, before)) and not drawn.all()
+
+
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_cells_that_are_left_empty_are_not_asked_for_and_count_nothing(everywhere):
+    grid, asked = grid_of_ball(), []
+    left = torch.arange(CELLS**3) % CELLS < CELLS // 2  # x first
+    grid.leave_empty(left)
+
+    def density_of(positions: torch.Tensor) -> torch.Tensor:
+        asked.append(positions)
+        return torch.full((len(positions),), 8.0)
+
+    for seed in range(20):
+        grid.update(density_of, stream(seed), everywhere)
+    assert torch.cat(asked)[:, 0].min() >= 0.5 and (grid.densities[left] == -1).all()
+    assert (grid.densities[~left] >= 8).all()  # above half of them, the mean with the others as 0
+    positions = torch.rand(1000, 3, generator=stream(9))
+    assert torch.equal(grid.occupied(positions), positions[:, 0] >= 0.5)

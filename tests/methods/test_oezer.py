@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from methods.oezer import FULL_UPDATES, MOST_RAYS, POINTS_OF_RAY, RayCount
-from tdgbench.fields import Rays
+from tdgbench.fields import Rays, region_of
 from tdgbench.training.loop import train
 from tests.helpers.exact import check_against_exact
 from tests.helpers.training import ready_to_train
@@ -176,8 +176,30 @@ def test_all_cells_are_updated_at_first_and_then_half(small_gray_scene):
         lambda positions: [counts.append(len(positions)), density_of(positions)][1], *rest
     )
     train(trainer)
-    cells = occupancy.cells**3
-    assert counts == [cells] * FULL_UPDATES + [cells // 2] * (20 - FULL_UPDATES)
+    cells, kept = occupancy.cells**3, int((occupancy.densities >= 0).sum())
+    assert 0 < kept < cells and counts[:FULL_UPDATES] == [kept] * FULL_UPDATES and len(counts) == 20
+    assert all(kept / 8 < count < cells // 2 for count in counts[FULL_UPDATES:])
+
+
+def test_nothing_is_before_the_points_of_all_views_or_outside_of_their_box(small_gray_scene):
+    method = ready_to_train(small_gray_scene, "oezer_scratch", 60, *SIZE).method
+    points, camera = small_gray_scene.points.points, small_gray_scene.train[0].camera
+    region = method.field.region = region_of(points, camera.world_to_camera[None])
+    method.placed(points, [camera])
+    occupancy = method.field.occupancy
+    occupancy.update(lambda positions: torch.full((len(positions),), 100.0), torch.Generator(), everywhere=True)
+    shown = points[camera.shows(points)]
+    near, away = np.percentile(camera.project(shown)[1], 3), shown - camera.center
+
+    def occupied(shares: np.ndarray) -> torch.Tensor:
+        """Whether something is at these shares of the way to each point."""
+        return occupancy.occupied(region.contracted(torch.from_numpy(camera.center + shares[:, None] * away)))
+
+    z = camera.project(shown)[1]
+    cell = 4 * region.radius / occupancy.cells
+    assert occupied(np.ones(len(z)))[z > near + cell].all() and (z > near + cell).sum() > 20
+    assert not occupied((near - cell) / z).any() and near > 1.5 * cell
+    assert not occupied(1e3 * np.abs(points).max() / z).any()
 
 
 def test_rays_adapt_to_the_occupied_samples():
