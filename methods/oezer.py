@@ -25,6 +25,7 @@ from tdgbench.fields import (
     GridOptions,
     OccupancyGrid,
     Rays,
+    Region,
     encoded_directions,
     march,
     visible_cells,
@@ -79,7 +80,10 @@ class InstantField(PlacedField):
         values = {name: self.heads[name](inputs) for name in {output.head for output in outputs.values()}}
         images = {}
         for modality, output in outputs.items():
-            table = marched.table(values[output.head][:, output.first : output.end])
+            value = values[output.head][:, output.first : output.end]
+            if modality == "thermal":  # the sigmoid is of temperatures from 0 °C on
+                value = self.zero + (1 - self.zero) * value
+            table = marched.table(value)
             behind = table.new_ones(table.shape[2]) if output.is_white_behind else self.zero.expand(table.shape[2])
             images[modality] = composited(weights if output.moves_density else weights.detach(), table, behind)
         depth = composited(weights, marched.depths[..., None]).squeeze(1)
@@ -156,24 +160,30 @@ class InstantThermal(FieldMethod):
     rates: list[PositiveFloat]  # first and last; they fall log-linearly
     rate_end: Share  # of all iterations; the last rate is reached there, and stays
     levels: PositiveInt
-    cells: list[PositiveInt]  # of the coarsest and the finest level, along an axis
+    cells: list[PositiveInt]  # of the coarsest and the finest level, along an axis of four units
     layers: PositiveInt  # hidden ones of the density's network
     width: PositiveInt  # of these
     head_layers: PositiveInt
     head_width: PositiveInt
-    initial_density: PositiveFloat  # per radius of the region
+    initial_density: PositiveFloat  # per unit
     steps: PositiveInt  # samples of a ray before empty cells are left out, × the budget's first number of samples
     update_every: PositiveInt  # iterations between updates of the occupancy grid
     averaging: Share  # factor of the averaged weights after an epoch
     epochs: PositiveInt  # in all iterations
-    bound: PositiveFloat  # half the largest box, × the largest distance of a camera from the cameras' mean
+    bound: PositiveFloat  # half the largest box, units
     near_percentile: Annotated[float, Field(ge=0, le=100)]  # of the depths of a view's points: it shows nothing nearer
 
-    def placed(self, points: np.ndarray, cameras: Sequence[Camera]) -> None:
-        """Leave cells empty that are outside of the points' box, or that no camera shows (`mark_untrained_grid`)."""
+    def place_in(self, region: Region, points: np.ndarray, cameras: Sequence[Camera]) -> None:
+        """Take the authors' unit of length, the largest distance of a camera from the cameras' mean, as the radius.
+
+        Cells stay empty that are outside of the points' box, or that no camera shows (`mark_untrained_grid`).
+        """
         centres = np.stack([camera.center for camera in cameras])
         middle = centres.mean(axis=0)
-        largest = self.bound * np.linalg.norm(centres - middle, axis=1).max() or np.inf  # cameras in one place
+        if unit := float(np.linalg.norm(centres - middle, axis=1).max()):  # else all cameras are in one place
+            x, y, z = middle.tolist()
+            region = region._replace(center=(x, y, z), radius=unit)
+        largest = self.bound * region.radius
         box = np.stack([points.min(axis=0), points.max(axis=0)]).clip(middle - largest, middle + largest)
         frustums = []
         for camera in cameras:
@@ -181,8 +191,8 @@ class InstantThermal(FieldMethod):
             shown = z[camera.holds(pixels, z)]
             near = float(np.percentile(shown, self.near_percentile)) if len(shown) else 0.0
             frustums.append(Frustum(camera.K, camera.world_to_camera, camera.width, camera.height, near))
-        occupancy = self.field.occupancy
-        visible = visible_cells(occupancy.cells, self.field.region, box, frustums)
+        self.field.region, occupancy = region, self.field.occupancy
+        visible = visible_cells(occupancy.cells, region, box, frustums)
         occupancy.leave_empty(~visible.to(occupancy.densities.device))
 
     def begin(self, context: Context, outputs: Mapping[str, Output], whole: int) -> None:
@@ -266,6 +276,7 @@ class Scratch(InstantThermal):
     """Thermal images alone, from scratch (`--ts`)."""
 
     def setup(self, context: Context) -> None:
+        self.thermal_weight, self.zero = released_domain(context.scene.temperature)
         output = Output("image", 0, context.scene.channels)
         self.begin(context, {"thermal": output}, context.budget.schedule_length)
 

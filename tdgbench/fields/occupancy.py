@@ -11,9 +11,10 @@ from torch import Tensor, nn
 from tdgbench.fields.contraction import Region
 from tdgbench.fields.proposals import samples_at
 from tdgbench.fields.rays import Rays
-from tdgbench.fields.sampling import Spacing, stratified_edges
+from tdgbench.fields.sampling import SteadySpacing, stratified_edges
 
 DECAY = 0.95  # of a cell's density at an update of the cell
+EVEN_STEPS = 3**0.5 / 2  # radii up to which steps are even: raymarching.cu has dt_min = 2 √3 / 1024 and dt = t / 256
 LARGEST_THRESHOLD = 10.0  # density per radius of the region, above which a cell is always occupied
 
 
@@ -83,11 +84,12 @@ class Marched(NamedTuple):
 def march(
     rays: Rays, region: Region, grid: OccupancyGrid, steps: int, generator: torch.Generator | None = None
 ) -> Marched:
-    """Return those of `steps` samples along each ray, even in `Spacing`, that lie in occupied cells.
+    """Return those of `steps` samples along each ray, even in `SteadySpacing`, that lie in occupied cells.
 
-    generator: of one shift for each ray; None: no shift.
+    generator: of one shift for each ray; None: no shift. Lengths are differences of depth, as torch-ngp's, whose
+    directions have no unit length.
     """
-    spacing = Spacing(region.near, region.far, region.radius)
+    spacing = SteadySpacing(region.near, region.far, EVEN_STEPS * region.radius)
     edges = stratified_edges(len(rays.origins), steps, generator).to(rays.origins)
     with torch.no_grad():
         samples = samples_at(edges, rays, region, spacing)
@@ -98,7 +100,7 @@ def march(
         places = numbers * columns + order[kept] - 1
         lengths, depths = (
             _table(one[kept][:, None], places, len(kept), columns).squeeze(2)
-            for one in (samples.lengths, samples.depths)
+            for one in (samples.lengths / rays.directions.norm(dim=1, keepdim=True), samples.depths)
         )
         return Marched(samples.contracted[kept.view(-1)], numbers, places, lengths, depths)
 

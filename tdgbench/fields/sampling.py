@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -33,6 +34,28 @@ class Spacing(NamedTuple):
     @staticmethod
     def _place(depth: float) -> float:
         return depth / 2 if depth < 1 else 1 - 1 / (2 * depth)
+
+
+class SteadySpacing(NamedTuple):
+    """Maps places in [0, 1] to depths: steps are even up to `unit`, and in proportion to depth beyond, as torch-ngp's.
+
+    >>> SteadySpacing(near=0.5, far=2 * math.e, unit=2.0).depths(torch.tensor([0.0, 3 / 7, 1.0]))
+    tensor([0.5000, 2.0000, 5.4366])
+    """
+
+    near: float
+    far: float
+    unit: float
+
+    def depths(self, places: Tensor) -> Tensor:
+        """Return the depths of places, any shape."""
+        first, last = (self._place(depth / self.unit) for depth in (self.near, self.far))
+        place = first + (last - first) * places
+        return self.unit * torch.where(place < 1, place, (place - 1).exp())
+
+    @staticmethod
+    def _place(depth: float) -> float:
+        return depth if depth < 1 else 1 + math.log(depth)
 
 
 def stratified_edges(rays: int, count: int, generator: torch.Generator | None) -> Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,9 @@ from tdgbench.scenes.temperature import TEMPERATURES, Radiometry
 
 if TYPE_CHECKING:
     from tdgbench.scenes.scene import Scene, View
+
+
+MOST_CHROMA = 5.0  # levels; a camera's white-hot JPEG has up to 3, and decoding rounds each channel
 
 
 def read_image(path: Path) -> np.ndarray:
@@ -52,6 +56,18 @@ def unit_image(decoded: Decoded, path: Path, radiometry: Radiometry | None = Non
     return np.clip((degC - low) / (high - low), 0, 1).astype(np.float32)
 
 
+def thermal_image(decoded: Decoded, path: Path, radiometry: Radiometry | None = None) -> tuple[np.ndarray, str]:
+    """Return a shown thermal image as `unit_image` does, with one channel where it is gray, and what is assumed.
+
+    A lossy picture is gray if its chroma is no more than noise. Raises SceneError.
+    """
+    luma = without_chroma(decoded.values) if decoded.header.is_lossy else None
+    image = unit_image(decoded if luma is None else replace(decoded, values=luma), path, radiometry)
+    has_chroma = luma is not None and not is_gray(decoded.values)
+    said = f"gray but for chroma of up to {MOST_CHROMA:g} levels, which is left out" if has_chroma else ""
+    return np.ascontiguousarray(image[..., :1]) if is_gray(image) else image, said
+
+
 def is_gray(image: np.ndarray) -> bool:
     """Return whether all channels of an image (H, W, C) are equal.
 
@@ -59,6 +75,23 @@ def is_gray(image: np.ndarray) -> bool:
     (True, False)
     """
     return image.shape[2] == 1 or bool((image == image[..., :1]).all())
+
+
+def without_chroma(values: np.ndarray) -> np.ndarray | None:
+    """Return the luma (H, W, 1) uint8 of a lossy picture (H, W, 3) uint8 that is gray but for noise in its chroma.
+
+    None if it has one channel, or a pixel whose Cb or Cr of JFIF is more than MOST_CHROMA levels from gray.
+
+    >>> without_chroma(np.array([[[100, 99, 102]]], np.uint8)), without_chroma(np.array([[[100, 90, 120]]], np.uint8))
+    (array([[[100]]], dtype=uint8), None)
+    """
+    if values.shape[2] == 1:
+        return None
+    r, g, b = np.moveaxis(values.astype(np.float32), -1, 0)
+    luma = 0.299 * r + 0.587 * g + 0.114 * b
+    if max(np.abs(b - luma).max() / 1.772, np.abs(r - luma).max() / 1.402) > MOST_CHROMA:
+        return None
+    return luma.round().astype(np.uint8)[..., None]
 
 
 def in_pseudo_colour(views: Iterable[View]) -> list[str]:

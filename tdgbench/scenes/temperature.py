@@ -51,17 +51,17 @@ class Radiometry:
     scale: CountScale = CountScale()
 
 
-def read_radiometry(path: Path, keys: tuple[str, str] = KEYS) -> Radiometry | None:
-    """Read `temperature.json` or, with BOUNDS_KEYS, BOUNDS_FILE; None if there is no such file. Raises SceneError.
+def read_radiometry(path: Path) -> Radiometry | None:
+    """Read `temperature.json` or BOUNDS_FILE; None if there is no such file. Raises SceneError.
 
-    keys: of the lowest and highest temperature in °C. degC_per_count and degC_at_zero are of 16-bit images.
+    They hold the lowest and highest temperature in °C. degC_per_count and degC_at_zero are of 16-bit images.
     """
     if not is_there(path):
         return None
-    lowest, highest = keys
+    lowest, highest = BOUNDS_KEYS if path.name == BOUNDS_FILE else KEYS
     try:
         content = read_json(path)
-        if not isinstance(content, dict) or not {*keys} <= content.keys():
+        if not isinstance(content, dict) or not {lowest, highest} <= content.keys():
             raise ValueError("it does not have both")
         unknown = [key for key in content if key.startswith("degC") and key not in OF_COUNTS]
         if unknown or ("degC_at_zero" in content and content.get("degC_per_count") is None):

@@ -13,7 +13,7 @@ from tdgbench.scenes.camera import Camera
 from tdgbench.scenes.colmap import RegisteredImage
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats import Header, decode
-from tdgbench.scenes.images import is_gray, resize, unit_image, with_channels
+from tdgbench.scenes.images import resize, thermal_image, with_channels
 from tdgbench.scenes.scene import PALETTE, TemperatureRange
 from tdgbench.scenes.temperature import Radiometry
 
@@ -62,7 +62,10 @@ class ThermalImages:
 
 def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | None, wanted: int | str) -> ThermalImages:
     """Read images as their files show them. wanted: number of channels, 1, 3 or `auto`. Raises SceneError."""
-    images = {name: _read_shown(source, radiometry) for name, source in sources.items()}
+    images, said = {}, dict[str, None]()
+    for name, source in sources.items():
+        images[name], words = _read_shown(source, radiometry)
+        said[words] = None
     are_gray = all(view.image.shape[2] == 1 for view in images.values())
     channels = (1 if are_gray else 3) if wanted == "auto" else int(wanted)
     images = {name: in_channels(view, channels) for name, view in images.items()}
@@ -70,7 +73,7 @@ def shown_images(sources: Mapping[str, ImageSource], radiometry: Radiometry | No
     span = None if radiometry is None or is_palette_made_gray else radiometry.range
     known = "of unknown °C" if span is None else f"0 and 1 are {span.min:.4g} and {span.max:.4g} °C"
     assumed = {"values": f"gray, {known}" if are_gray else PALETTE}
-    return ThermalImages(images, channels, span, assumed=assumed)
+    return ThermalImages(images, channels, span, [words for words in said if words], assumed=assumed)
 
 
 def in_channels(view: MaskedImage, channels: int) -> MaskedImage:
@@ -78,15 +81,13 @@ def in_channels(view: MaskedImage, channels: int) -> MaskedImage:
     return MaskedImage(np.ascontiguousarray(with_channels(view.image, channels), np.float32), view.valid)
 
 
-def _read_shown(source: ImageSource, radiometry: Radiometry | None) -> MaskedImage:
+def _read_shown(source: ImageSource, radiometry: Radiometry | None) -> tuple[MaskedImage, str]:
     decoded = decode(source.path, as_picture=True)
-    image = unit_image(decoded, source.path, radiometry)
-    if is_gray(image):
-        image = np.ascontiguousarray(image[..., :1])
+    image, said = thermal_image(decoded, source.path, radiometry)
     image, valid = resample(image, hidden_by(source, image, decoded.valid), source)
     if valid is not None:
         image[~valid] = UNMEASURED
-    return MaskedImage(image, valid)
+    return MaskedImage(image, valid), said
 
 
 def hidden_by(source: ImageSource, image: np.ndarray, valid: np.ndarray | None = None) -> np.ndarray | None:

@@ -103,11 +103,11 @@ class FieldMethod(Method):
         """Find the field's region, unless it is known: not in the set-up, which stored cells have without points."""
         if not self.field.is_placed:
             poses = np.stack([camera.world_to_camera for camera in self._cameras])
-            self.field.region = region_of(self._points, poses)
-            self.placed(self._points, self._cameras)
+            self.place_in(region_of(self._points, poses), self._points, self._cameras)
 
-    def placed(self, points: np.ndarray, cameras: Sequence[Camera]) -> None:
-        """Take what else depends on the points (N, 3) and cameras that the field was placed by."""
+    def place_in(self, region: Region, points: np.ndarray, cameras: Sequence[Camera]) -> None:
+        """Place the field, given the region of the scene, with its points (N, 3) and training cameras."""
+        self.field.region = region
 
     @torch.no_grad()
     def render(self, frame: Frame, modality: str = "thermal") -> Render:

@@ -4,13 +4,14 @@ import pytest
 import torch
 
 from tdgbench.fields.contraction import Region
-from tdgbench.fields.occupancy import DECAY, LARGEST_THRESHOLD, OccupancyGrid, march
+from tdgbench.fields.occupancy import DECAY, EVEN_STEPS, LARGEST_THRESHOLD, OccupancyGrid, march
 from tdgbench.fields.proposals import samples_at
 from tdgbench.fields.rays import Rays
-from tdgbench.fields.sampling import Spacing, stratified_edges
+from tdgbench.fields.sampling import SteadySpacing, stratified_edges
 from tdgbench.fields.volume import composited, weights_of
 
 REGION = Region((0.1, -0.2, 0.3), 1.5, 0.5, 6.0)
+SPACING = SteadySpacing(REGION.near, REGION.far, EVEN_STEPS * REGION.radius)
 CELLS, STEPS = 8, 50
 
 
@@ -40,8 +41,9 @@ def test_marching_keeps_the_samples_of_occupied_cells_alone(seed):
     grid, lines = grid_of_ball(), rays()
     marched = march(lines, REGION, grid, STEPS, None if seed is None else stream(seed))
     edges = stratified_edges(len(lines.origins), STEPS, None if seed is None else stream(seed))
-    dense = samples_at(edges, lines, REGION, Spacing(REGION.near, REGION.far, REGION.radius))
+    dense = samples_at(edges, lines, REGION, SPACING)
     positions = dense.contracted.view(len(lines.origins), STEPS, 3)
+    lengths = dense.lengths / lines.directions.norm(dim=1, keepdim=True)  # of depths
     threshold = min(LARGEST_THRESHOLD, grid.densities.mean().item())
     rows, expected, counts = [], [], []
     for ray in range(len(lines.origins)):
@@ -50,7 +52,7 @@ def test_marching_keeps_the_samples_of_occupied_cells_alone(seed):
             x, y, z = (int(value * CELLS) for value in positions[ray, step])
             if grid.densities[x + CELLS * y + CELLS**2 * z] > threshold:
                 rows.append(ray)
-                expected.append((positions[ray, step], dense.lengths[ray, step], dense.depths[ray, step]))
+                expected.append((positions[ray, step], lengths[ray, step], dense.depths[ray, step]))
                 count += 1
         counts.append(count)
     assert 0 < sum(counts) < STEPS * len(counts) / 2 and min(counts) == 0
@@ -66,11 +68,12 @@ def test_images_are_those_of_all_samples_where_the_rest_is_empty():
     """Value, and gradient in the samples' values."""
     grid, lines = grid_of_ball(), rays()
     edges = stratified_edges(len(lines.origins), STEPS, None)
-    dense = samples_at(edges, lines, REGION, Spacing(REGION.near, REGION.far, REGION.radius))
+    dense = samples_at(edges, lines, REGION, SPACING)
     inside = grid.occupied(dense.contracted)
     values = torch.rand(len(inside), 2, generator=stream(3)).requires_grad_()
     densities = torch.where(inside, 3 * values[:, 0], 0.0)
-    whole = composited(weights_of(densities.view(dense.lengths.shape), dense.lengths), values.view(-1, STEPS, 2))
+    lengths = dense.lengths / lines.directions.norm(dim=1, keepdim=True)
+    whole = composited(weights_of(densities.view(lengths.shape), lengths), values.view(-1, STEPS, 2))
     marched, kept = march(lines, REGION, grid, STEPS), values[inside]
     weights = weights_of(marched.table(3 * kept[:, :1]).squeeze(2), marched.lengths)
     image = composited(weights, marched.table(kept))

@@ -7,6 +7,7 @@ import torch
 from tdgbench.fields.sampling import (
     HISTOGRAM_PADDING,
     Spacing,
+    SteadySpacing,
     distortion_loss,
     interlevel_loss,
     resampled_edges,
@@ -23,6 +24,15 @@ def intervals(rays: int, count: int, seed: int) -> tuple[torch.Tensor, torch.Ten
     edges = torch.rand(rays, count + 1, generator=stream(seed), dtype=torch.float64).sort(dim=1).values
     weights = torch.rand(rays, count, generator=stream(seed + 1), dtype=torch.float64) / count
     return edges, weights
+
+
+def test_steps_are_even_and_then_in_proportion_to_depth():
+    """As a march with dt = max(dt_min, t / n), whose steps are even up to n dt_min."""
+    depths = SteadySpacing(near=0.25, far=16.0, unit=2.0).depths(torch.linspace(0, 1, 2001, dtype=torch.float64))
+    steps, middles = depths.diff(), (depths[1:] + depths[:-1]) / 2
+    assert depths[0] == 0.25 and depths[-1].item() == pytest.approx(16.0)
+    expected = middles.clamp_min(2.0)
+    assert torch.allclose(steps / steps[0], expected / 2.0, rtol=1e-3)
 
 
 def test_spacing_is_linear_and_then_even_in_disparity():

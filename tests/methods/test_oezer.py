@@ -184,8 +184,9 @@ def test_all_cells_are_updated_at_first_and_then_half(small_gray_scene):
 def test_nothing_is_before_the_points_of_all_views_or_outside_of_their_box(small_gray_scene):
     method = ready_to_train(small_gray_scene, "oezer_scratch", 60, *SIZE).method
     points, camera = small_gray_scene.points.points, small_gray_scene.train[0].camera
-    region = method.field.region = region_of(points, camera.world_to_camera[None])
-    method.placed(points, [camera])
+    region = region_of(points, camera.world_to_camera[None])
+    method.place_in(region, points, [camera])
+    assert method.field.region == region  # a single camera is no unit of length
     occupancy = method.field.occupancy
     occupancy.update(lambda positions: torch.full((len(positions),), 100.0), torch.Generator(), everywhere=True)
     shown = points[camera.shows(points)]
@@ -200,6 +201,13 @@ def test_nothing_is_before_the_points_of_all_views_or_outside_of_their_box(small
     assert occupied(np.ones(len(z)))[z > near + cell].all() and (z > near + cell).sum() > 20
     assert not occupied((near - cell) / z).any() and near > 1.5 * cell
     assert not occupied(1e3 * np.abs(points).max() / z).any()
+
+
+def test_its_ball_is_around_the_cameras(trainers, small_gray_scene):
+    centres = np.stack([view.camera.center for view in small_gray_scene.train])
+    region = trainers["oezer_scratch"].method.field.region
+    assert np.allclose(region.center, centres.mean(axis=0))
+    assert region.radius == pytest.approx(max(np.linalg.norm(centre - centres.mean(axis=0)) for centre in centres))
 
 
 def test_rays_adapt_to_the_occupied_samples():

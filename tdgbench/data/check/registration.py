@@ -1,8 +1,8 @@
 """Whether RGB and thermal images are registered: the offset between edges of the same views, and what to do about it.
 
 The edge maps of a view (gradient magnitudes, since signs differ between the modalities) are correlated over all shifts
-up to 5 % of the width (16 px at least). The mean over views has its peak at the offset; resampling the views gives the
-spread of it.
+up to 5 % of the width (16 px at least), and up to 15 % if the best one is at the rim. The mean over views has its peak
+at the offset; resampling the views gives the spread of it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tdgbench.scenes.inputs import is_folder, is_there, listed, read_bytes
 
 SMOOTHING = 1.5  # px, σ of the Gaussian before the gradient
 STRONGEST = 99.0  # percentile of edges beyond which they count no more
-LARGEST_SHIFT, SHORTEST_RANGE = 0.05, 16  # of the width; px
+LARGEST_SHIFTS, SHORTEST_RANGE = (0.05, 0.15), 16  # of the width, the second if the first is too small; px
 FEWEST_VIEWS, MOST_VIEWS = 3, 24
 SMALLEST = 96  # px, of the shorter side: measured on aligned images, errors were 0.4 px at 120 px, and 2 px at 36 px
 MIN_PROMINENCE = 6.0  # of the peak over the other shifts, in their robust standard deviations
@@ -84,11 +84,14 @@ def edge_offset(pairs: Sequence[ViewPair]) -> Offset | str:
         return f"{len(pairs)} views with both images; {FEWEST_VIEWS} are needed"
     if min(pairs[0].rgb.shape[:2]) < SMALLEST:
         return f"images of {pairs[0].rgb.shape[1]}×{pairs[0].rgb.shape[0]} px are too small"
-    surfaces = np.stack([_edge_correlation(pair) for pair in pairs])
-    mean = surfaces.mean(axis=0)
-    radius = mean.shape[0] // 2
-    row, column = np.unravel_index(mean.argmax(), mean.shape)
-    if min(row, column) == 0 or max(row, column) == 2 * radius:
+    for share in LARGEST_SHIFTS:
+        radius = max(SHORTEST_RANGE, round(share * pairs[0].rgb.shape[1]))
+        surfaces = np.stack([_edge_correlation(pair, radius) for pair in pairs])
+        mean = surfaces.mean(axis=0)
+        row, column = np.unravel_index(mean.argmax(), mean.shape)
+        if min(row, column) > 0 and max(row, column) < 2 * radius:
+            break
+    else:
         return f"no offset below {radius} px fits"
     if _prominence(mean, int(row), int(column)) < MIN_PROMINENCE:
         return "edges of RGB and thermal images have too little in common"
@@ -148,9 +151,8 @@ def _plain_files(folder: Path) -> list[Path]:
     return [] if any(path.is_dir() for path in paths) else paths
 
 
-def _edge_correlation(pair: ViewPair) -> np.ndarray:
+def _edge_correlation(pair: ViewPair, radius: int) -> np.ndarray:
     """Return the correlation (2R + 1, 2R + 1) of a view's edge maps at shifts of -R to R px: rows are y, columns x."""
-    radius = max(SHORTEST_RANGE, round(LARGEST_SHIFT * pair.rgb.shape[1]))
     rgb, thermal = (_edges(image, pair.valid) for image in (pair.rgb, pair.thermal))
     norm = np.linalg.norm(rgb) * np.linalg.norm(thermal)
     if norm == 0:

@@ -145,6 +145,8 @@ def _described(scene: Scene, dataset: str) -> SceneCheck:
     offset, unread = _edge_offset(scene)
     known, unknown = (offset, None) if isinstance(offset, Offset) else (None, offset)
     doubts, uncertain = ([], []) if known is None else registration(scene, known)
+    if with_rgb and unknown:
+        uncertain = [f"whether RGB and thermal images are registered is not known: {unknown}"]
     return SceneCheck(
         name=scene.name,
         dataset=dataset,

@@ -22,9 +22,9 @@ from tdgbench.data.progress import step
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.formats import Decoded, PhotoMapping, agreed_scale, celsius_of, decode, header
 from tdgbench.scenes.formats.pictures import JPEG
-from tdgbench.scenes.images import read_image, unit_image, with_channels
+from tdgbench.scenes.images import read_image, thermal_image, with_channels
 from tdgbench.scenes.inputs import is_there
-from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
+from tdgbench.scenes.temperature import BOUNDS_FILE, FILE, CountScale, read_radiometry
 
 TAILS = 0.5, 99.5  # percentiles of a thermal image that become black and white in its picture for COLMAP
 NEARLY_ALL = 0.8  # of the views: others, of another kind, are left out; with fewer, nobody knows what is meant
@@ -101,18 +101,24 @@ class Capture:
         self.views = {name: view for name, view in self.views.items() if name in names}
 
 
+def temperature_file(folder: Path) -> Path:
+    """Return the file that may state °C of image values: temperature.json, or ThermoScenes' bounds if they alone do."""
+    has_bounds = is_there(folder / BOUNDS_FILE) and not is_there(folder / FILE)
+    return folder / (BOUNDS_FILE if has_bounds else FILE)
+
+
 def read_capture(
     folder: Path, work: Path, sources: Sources, scale: CountScale, thermal_alone: bool, report: Report
 ) -> Capture:
     """Read all files that were found in a folder, and store their content in `work`.
 
-    scale: of 16-bit counts; where it is not known, the folder's temperature.json says it. thermal_alone: RGB images are
-    not looked for. Files that cannot be read are reported. Raises SceneError if none can, and for views of several
+    scale: of 16-bit counts; where it is not known, the folder's `temperature_file` says it. thermal_alone: RGB images
+    are not looked for. Files that cannot be read are reported. Raises SceneError if none can, and for views of several
     kinds.
     """
     report.files += [FileReport(str(p), "", p.stem, "left out", why) for p, why in sources.left_out.items()]
     report.assumptions += sources.notes
-    radiometry = read_radiometry(folder / FILE)
+    radiometry = read_radiometry(temperature_file(folder))
     if not scale.is_known and radiometry is not None:
         scale = radiometry.scale
     capture = Capture(work, Kind((0, 0), (0, 0), False, False))
@@ -134,23 +140,25 @@ def read_capture(
             count(index + 1)
     if not kinds:
         raise too_few(folder, 0, report)
-    _keep_main_kind(folder, capture, kinds)
+    _keep_main_kind(folder, capture, kinds, report)
     report.rgb_size = None if thermal_alone else capture.kind.rgb
     report.thermal_size = capture.kind.thermal
     report.assumptions += _assumed(folder, capture, assumed)
     return capture
 
 
-def _keep_main_kind(folder: Path, capture: Capture, kinds: dict[Kind, list[FileReport]]) -> None:
+def _keep_main_kind(folder: Path, capture: Capture, kinds: dict[Kind, list[FileReport]], report: Report) -> None:
     """Keep the views of one kind, which are all or nearly all of them. Raises SceneError if no kind is."""
     ranked = sorted(kinds.items(), key=lambda item: -len(item[1]))
     capture.kind, views = ranked[0]
     if len(views) < NEARLY_ALL * sum(map(len, kinds.values())):
         described = [f"{len(views)} with {kind} ({views[0].view} …)" for kind, views in ranked]
+        unread = [one for one in report.files if one.status == "not read"]
+        lost = f". {len(unread)} files more cannot be read, the first since {unread[0].reason}" if unread else ""
         raise SceneError(
             f"{folder} holds views of different cameras or settings: {'; '.join(described[:4])}. One scene is of one "
             "camera, or pair of them, in one orientation: prepare each kind from a folder of its own, or name its "
-            "files by --pairs"
+            f"files by --pairs{lost}"
         )
     capture.keep({entry.view for entry in views})
     for kind, others in ranked[1:]:
@@ -162,8 +170,8 @@ def _assumed(folder: Path, capture: Capture, by_view: Mapping[str, Sequence[str]
     """Return what is assumed about the files, each line once, with the number of views."""
     said = []
     if not capture.kind.is_celsius:
-        known = f"whose °C {folder / FILE} gives"
-        if not is_there(folder / FILE):
+        known = f"whose °C {temperature_file(folder)} gives"
+        if not is_there(temperature_file(folder)):
             known = "without °C: errors need --degC-per-count, a temperature.json or a converter (docs/data.md)"
         said.append(f"thermal images show values {known}")
     views = len(capture.views)
@@ -181,7 +189,7 @@ def read_view(files: ViewFiles, scale: CountScale, thermal_alone: bool = False) 
     own = agreed_scale(path, decoded.header, scale) if has_counts else scale
     may_be_shown = thermal_alone or decoded.header.may_be_shown
     is_celsius = decoded.header.meaning == "°C" or (has_counts and (own.is_known or not may_be_shown))
-    thermal = celsius_of(decoded, path, scale) if is_celsius else unit_image(decoded, path)
+    thermal, chroma = (celsius_of(decoded, path, scale), "") if is_celsius else thermal_image(decoded, path)
     if not is_celsius and decoded.valid is not None:
         thermal[~decoded.valid] = np.nan
     taken, size = _taken(files), thermal.shape[1::-1]
@@ -189,7 +197,8 @@ def read_view(files: ViewFiles, scale: CountScale, thermal_alone: bool = False) 
         size if rgb is None else rgb.shape[1::-1], size, thermal.ndim == 2, rgb is not None and files.rgb is None,
         thermal_alone, taken.camera, decoded.header.format if has_counts else "",
     )  # fmt: skip
-    return ViewContent(kind, thermal, rgb, taken, mapping, _stated(decoded, files, own, scale))
+    said = [*_stated(decoded, files, own, scale), chroma]
+    return ViewContent(kind, thermal, rgb, taken, mapping, [line for line in said if line])
 
 
 def _stated(decoded: Decoded, files: ViewFiles, own: CountScale, given: CountScale) -> list[str]:
@@ -209,7 +218,9 @@ def _stated(decoded: Decoded, files: ViewFiles, own: CountScale, given: CountSca
         f"temperatures are the object's, as set in the camera or its converter: {settings}" if settings else "",
         *decoded.header.assumed, *(f"RGB: {words}" for words in rgb), decoded.lost,
     ]  # fmt: skip
-    return [line for line in lines if line]
+    if decoded.header.meaning == "counts" and own == given and given.is_known:
+        lines.append(f"°C = counts × {given.degC_per_count:g} + {given.degC_at_zero:g}, as options or {FILE} say")
+    return lines
 
 
 def _photo(files: ViewFiles, decoded: Decoded) -> tuple[np.ndarray, PhotoMapping | None]:

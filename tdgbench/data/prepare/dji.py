@@ -1,6 +1,7 @@
 """DJI's files: which are of one shot, and temperatures that other programs compute of its radiometric JPEG.
 
-Names end in a running number and a lens: DJI_20240806173449_0008_T.JPG; T is thermal, V or W wide, Z zoom. DJI's SDK
+Names end in a running number and a lens: DJI_20240806173449_0008_T.JPG; T is thermal, V or W wide, Z zoom, S a picture
+of the split screen. DJI's SDK
 writes NAME.raw as `dji_irp` is told; dji-thermal-cli 1.4.0 writes NAME_temp_c.tiff and others (`process --help`).
 """
 
@@ -25,7 +26,7 @@ from tdgbench.scenes.inputs import is_there, read_bytes
 RAW = ".raw"  # of dji_irp: numbers, row by row, without a header
 SECONDS_OFF = 2  # s, at most, between the times in the names of one shot's files
 STAMPED = re.compile(r"(.*DJI_)(\d{14})(_\d{4})(.*)")
-LENS = re.compile(r"(.*DJI_(?:\d{14}_)?\d{4})_([TVWZ])")
+LENS = re.compile(r"(.*DJI_(?:\d{14}_)?\d{4})_([STVWZ])")
 CELSIUS = "temp_c"
 PRODUCTS = {
     CELSIUS: "°C", "temp_f": "°F", "temp_k": "kelvin", "temp_ck": "1/100 kelvin", "temp_dc": "1/10 °C", "raw": "counts",

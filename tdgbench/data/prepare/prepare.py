@@ -15,7 +15,7 @@ from pydantic import ConfigDict, TypeAdapter
 from tdgbench.data.folders import Stages, new_folder
 from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare.calibration import checked_lenses, exif_focal
-from tdgbench.data.prepare.capture import Capture, Kind, read_capture, too_few, write_pictures
+from tdgbench.data.prepare.capture import Capture, Kind, read_capture, temperature_file, too_few, write_pictures
 from tdgbench.data.prepare.known_poses import known_poses, structure_of
 from tdgbench.data.prepare.places import coordinates, doubted_by_height
 from tdgbench.data.prepare.report import Report
@@ -88,7 +88,7 @@ def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, 
     if mapping.stated is not None and not options.thermal_alone:
         report.mapping = mapping.stated.real_to_ir, mapping.stated.offset_x, mapping.stated.offset_y
     _write_views(part, capture, grid, mapping, own, report)
-    radiometry = None if capture.kind.is_celsius else read_radiometry(folder / FILE)
+    radiometry = None if capture.kind.is_celsius else read_radiometry(temperature_file(folder))
     if radiometry is not None:
         low, high = report.temperature = radiometry.range.min, radiometry.range.max
         content = json.dumps({"unit": "degC", "min": low, "max": high})
@@ -118,7 +118,7 @@ def _read(folder: Path, stages: Stages, options: PrepareOptions, report: Report)
     thermal_alone = options.thermal_alone
     sources = find_sources(folder, options.pairs, thermal_alone)
     files = (path for view in sources.views for path in (view.thermal, view.rgb, view.origin) if path is not None)
-    used = [folder / FILE, *files]
+    used = [temperature_file(folder), *files]
     states = [(str(path), path.stat().st_size, path.stat().st_mtime_ns) for path in used if is_there(path)]
 
     def write(place: Path) -> None:

@@ -93,7 +93,8 @@ def _nothing(folder: Path, pairs: tuple[str, str] | None, thermal_alone: bool, s
     what, remedy = "thermal image", f"say which files they are, as by {EXAMPLE}"
     if not thermal_alone:
         what = "pair of thermal and RGB images"
-        remedy = f"it must hold radiometric JPEG of FLIR, or files of equal names, or be told names as by {EXAMPLE}"
+        remedy = f"it must hold radiometric JPEG of FLIR, or files of equal names, or be told names as by {EXAMPLE}; "
+        remedy += "thermal images alone need --sfm thermal"
         if pairs is not None:
             remedy = f"{pairs[0]!r} and {pairs[1]!r} must match files of equal view names"
     return SceneError(f"{folder} holds no {what}" + (f" ({reasons})" if reasons else "") + f"; {remedy}")

@@ -25,6 +25,7 @@ SEGMENT = b"FLIR\0"  # ExifTool, lib/Image/ExifTool/JPEG.pm: APP1 "FLIR"
 JPEG_LS = b"\xff\xd8\xff\xf7"  # SOI and SOF55: raw counts that some cameras compress losslessly
 MOST_RECORDS = 4096  # of a file; cameras write 2 to 100
 VERSIONS = range(100, 200)  # of the file format, by which ExifTool's FLIR.pm tells the byte order
+BIG_ENDIAN = b"\0\2"  # records begin with 2 in their own byte order, by which ExifTool's FLIR.pm tells it
 NAME = "FLIR radiometric JPEG"
 PNG = b"\x89PNG"  # of raw counts, or of a photo, whose channels are then Y, Cb and Cr by ExifTool's FLIR.pm
 MOST_HUMIDITY = 2.0  # of a fraction; some cameras write percent, which ExifTool's FLIR.pm tells so
@@ -61,6 +62,12 @@ def _records(source: Source) -> tuple[BinaryIO, dict[int, Record], Header]:
     for needed, what in ((RAW_DATA, "raw_data"), (CAMERA_INFO, "camera_info")):
         if needed not in records:
             raise SceneError(f"{source.path} has a FLIR segment without {what}; use the camera's original file")
+        stream.seek(records[needed][2])
+        if stream.read(2) == BIG_ENDIAN:
+            raise SceneError(
+                f"{source.path} is a FLIR file whose {what} is big-endian, which is not decoded here; export it as "
+                "float TIFF in °C"
+            )
     header = Header(NAME, *_raw_size(stream, records[RAW_DATA]), "float", "°C")
     return stream, records, header.checked(source.path)
 

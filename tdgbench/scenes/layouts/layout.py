@@ -114,7 +114,7 @@ def _chosen_model(
         first = next(iter(places))
         raise SceneError(
             f"{folder} has no COLMAP model in {first}; find poses first: tdgbench data prepare does, or COLMAP on its "
-            f"RGB images (read as {title})"
+            f"images (read as {title})"
         )
     models = [path for path in found if is_there(path / "images.bin") or is_there(path / "images.txt")]
     if len(models) < 2:

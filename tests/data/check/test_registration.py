@@ -4,6 +4,7 @@ from scipy import ndimage
 
 from tdgbench.data.check.registration import Offset, ViewPair, edge_offset
 
+TOO_LITTLE = ("edges of RGB and thermal images have too little in common",)
 FINE = 4  # samples per pixel and side, so that shifts by parts of a pixel are exact
 
 
@@ -35,6 +36,13 @@ def test_known_shift_is_found(shift):
     assert (offset.x, offset.y) == pytest.approx(shift, abs=0.25)
     assert np.hypot(offset.x - shift[0], offset.y - shift[1]) <= max(offset.spread, 0.15)
     assert offset.px == pytest.approx(np.hypot(offset.x, offset.y))
+
+
+def test_an_offset_beyond_the_first_search_is_found():
+    """16 px are searched first, and then 19."""
+    offset = edge_offset(made_pairs((17.5, -2.0), views=8))
+    assert isinstance(offset, Offset) and (offset.x, offset.y) == pytest.approx((17.5, -2.0), abs=0.3)
+    assert edge_offset(made_pairs((28.0, 0.0), views=8)) in ("no offset below 19 px fits", *TOO_LITTLE)
 
 
 def test_unrelated_images_have_no_offset():

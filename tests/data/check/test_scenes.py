@@ -110,6 +110,7 @@ def test_masked_pixels_and_missing_photos(tmp_path, small_gray_scene):
     check = checks["scene"]
     assert check.status == "ok" and check.masked_share == pytest.approx(0.25, abs=0.03) and check.views_with_rgb == 9
     assert any("1 views have no RGB image" in note for note in check.notes)
+    assert any(note.startswith("whether RGB and thermal images are registered is not known") for note in check.notes)
 
 
 def test_unregistered_pairs_are_doubtful_and_the_command_mends_them(tmp_path, aligned_scene, monkeypatch):

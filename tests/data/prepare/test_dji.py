@@ -35,7 +35,7 @@ def shots(folder, **files):
     exif.get_ifd(ExifTags.IFD.GPSInfo).update(exif_gps())
     for shot in SHOTS:
         write_dji(folder / f"{shot}_T.JPG", COUNTS, exif=exif)
-        for lens in "VZ":
+        for lens in "SVZ":
             Image.new("RGB", (96, 72), (90, 80, 70)).save(folder / f"{shot}_{lens}.JPG")
         for ending, write in files.items():
             write(folder / f"{shot}_{ending.replace('__', '.')}", DEGC[shot])

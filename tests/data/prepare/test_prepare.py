@@ -111,7 +111,7 @@ def test_radiometric_tiff_pairs_and_masks(tmp_path):
         Image.fromarray(np.full((60, 80, 3), 100, np.uint8)).save(source / f"{index}_V.jpg")
     options = replace(EXTRACT, pairs=("*_T.tiff", "*_V.jpg"), counts=CountScale(1 / 40, -100.0))
     report = prepare_scene(source, tmp_path / "out", options)
-    assert report.size == (40, 30) and report.is_complete
+    assert report.size == (40, 30) and report.is_complete and "°C = counts × 0.025 + -100" in report.text()
     assert not (tmp_path / "out" / "sparse").exists() and "run COLMAP on rgb/" in report.text()
     written = np.asarray(Image.open(tmp_path / "out" / "thermal" / "1.tiff"))
     assert np.allclose(written[10:], degC[10:], atol=0.02) and not (tmp_path / "out" / "masks").exists()
@@ -278,3 +278,33 @@ def test_flir_tiff_states_its_temperatures(tmp_path, small_gray_scene, monkeypat
     assert ("without °C" in report.text()) != is_celsius
     temperature = FolderDataset(str(tmp_path / "scene"), ReadOptions()).load(None).temperature
     assert 18.8 < temperature.min < temperature.max < 22.9 if is_celsius else temperature is None
+
+
+def test_gray_pictures_with_chroma_and_bounds_of_thermoscenes(tmp_path, small_gray_scene):
+    """A camera's white-hot JPEG has some chroma; ThermoScenes' file states its range."""
+    source = tmp_path / "camera"
+    (source / "thermal").mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    for view in small_gray_scene.views[:4]:
+        gray = np.uint8(view.thermal[..., 0] * 235 + 10)
+        chroma = np.clip(rng.normal(128, 1, (2, *gray.shape)), 126, 130).astype(np.uint8)
+        picture = Image.merge("YCbCr", [Image.fromarray(channel) for channel in (gray, *chroma)])
+        picture.save(source / "thermal" / f"{view.name}.jpg", quality=95, subsampling=0)
+    bounds = {"absolute_min_temperature": 12.5, "absolute_max_temperature": 31.0}
+    (source / "temperature_bounds.json").write_text(json.dumps(bounds), encoding="utf-8")
+    report = prepare_scene(source, tmp_path / "out", replace(THERMAL_ALONE, extracts_only=True))
+    assert report.temperature == (12.5, 31.0) and "gray but for chroma of up to 5 levels" in report.text()
+    assert json.loads((tmp_path / "out" / "temperature.json").read_text()) == {"unit": "degC", "min": 12.5, "max": 31.0}
+    for view in small_gray_scene.views[:4]:
+        stored = np.asarray(Image.open(tmp_path / "out" / "thermal" / f"{view.name}.png"))
+        error = np.abs(stored / 65535 - (view.thermal[..., 0] * 235 + 10) / 255)
+        assert stored.ndim == 2 and error.mean() < 0.005 and error.max() < 0.06
+
+
+def test_files_that_cannot_be_read_are_told_with_several_kinds(tmp_path):
+    (tmp_path / "camera").mkdir()
+    for index, size in enumerate(((40, 30), (30, 40), (40, 30), (20, 20))):
+        Image.new("L", size).save(tmp_path / "camera" / f"{index}.png")
+    (tmp_path / "camera" / "4.png").write_bytes(b"no picture")
+    with pytest.raises(SceneError, match=r"different cameras.*: 2 with .* 1 files more cannot be read.*4\.png"):
+        prepare_scene(tmp_path / "camera", tmp_path / "out", THERMAL_ALONE)

@@ -31,6 +31,17 @@ def test_the_directory_may_be_little_endian(tmp_path):
     assert np.allclose(read_celsius(tmp_path / "t.jpg"), CAMERA.celsius(COUNTS), atol=1e-3)
 
 
+def test_big_endian_records_are_refused_by_name(tmp_path):
+    write_flir(tmp_path / "t.jpg", COUNTS, encoding="raw")
+    content = (tmp_path / "t.jpg").read_bytes()
+    little = struct.pack("<3H", 2, *COUNTS.shape[::-1])
+    assert content.count(little) == 1
+    (tmp_path / "t.jpg").write_bytes(content.replace(little, struct.pack(">3H", 2, *COUNTS.shape[::-1])))
+    for read in (header, read_celsius):
+        with pytest.raises(SceneError, match=r"raw_data is big-endian.*float TIFF"):
+            read(tmp_path / "t.jpg")
+
+
 def test_emissivity_of_the_file_is_corrected(tmp_path):
     write_flir(tmp_path / "t.jpg", COUNTS, camera=FlirCamera(emissivity=0.8))
     # The counts are 0.8 of the object's and 0.2 of the surroundings' at 295.15 K (the reflected temperature).
