@@ -64,6 +64,8 @@ class SADGS(Method):
     densify_from: Share | None  # of all iterations; None: as the budget
     reset_every: Share | None  # of all iterations; None: as the budget
     to_the_end: bool  # whether density control goes on to the last iteration; else it stops as the budget says
+    means_steps: PositiveFloat | None  # × all iterations, over which the means' rate falls; None: as the budget
+    sh_every: Share | None  # of all iterations; None: as the budget
     occlusion: NonNegativeFloat | None  # see `metric_depths`
 
     def setup(self, context: Context) -> None:
@@ -75,9 +77,18 @@ class SADGS(Method):
         depths = metric_depths(scene, context.priors, self.occlusion)
         self.surfaces = context.add_part("surfaces", Surfaces(scene, depths, context.device, self.unit))
         start = voxel_gaussians(*self.surfaces.points(), self.voxel * self.unit, budget.sh_degree)
-        budget = replace(budget, density=self._density(budget))
+        budget = replace(budget, density=self._density(budget), **self._schedules(budget))
         self.model, self.views = context.gaussians(start=start, budget=budget), context.views()
         self.draws, self.last = context.random("free_points"), budget.iterations
+
+    def _schedules(self, budget: Budget) -> dict[str, Any]:
+        """Return the fields of the budget that its learning rate and harmonics change."""
+        given: dict[str, Any] = {}
+        if self.means_steps is not None:
+            given["rates"] = replace(budget.rates, means_steps=round(self.means_steps * budget.schedule_length))
+        if self.sh_every is not None:
+            given["sh_every"] = max(1, round(self.sh_every * budget.schedule_length))
+        return given
 
     def _density(self, budget: Budget) -> DensityRules:
         """Return the density control of 3DGS with fading; another one stays as it is, without."""

@@ -165,10 +165,19 @@ class Context:
 
     @cached_property
     def frames(self) -> dict[str, Frame]:
-        """The frame of each view of the scene by name. Numbers, and times from 0 to 1, follow the order of names."""
-        views = sorted(self.scene.views, key=lambda view: view.name)
-        last = max(len(views) - 1, 1)
-        return {view.name: Frame(view.camera, index, index / last) for index, view in enumerate(views)}
+        """The frame of each view of the scene by name. Numbers, and times from 0 to 1, follow the order of names.
+
+        Where all names are whole numbers, times follow these: gaps count.
+        """
+        views = {view.name: view for view in self.scene.views}
+        are_numbers = all(name.isdecimal() for name in views)
+        names = sorted(views, key=lambda name: (int(name), name)) if are_numbers else sorted(views)
+        places = [int(name) - int(names[0]) for name in names] if are_numbers else list(range(len(names)))
+        last = max(places[-1], 1)
+        return {
+            name: Frame(views[name].camera, index, place / last)
+            for index, (name, place) in enumerate(zip(names, places, strict=True))
+        }
 
     def frame(self, view: View) -> Frame:
         """Return the frame of a view of the scene, at the view's resolution."""

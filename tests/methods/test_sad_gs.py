@@ -169,8 +169,13 @@ def test_schedule(small_gray_scene):
     rules = control.rules
     assert (rules.start, rules.opacity_reset_every, rules.fade_every, rules.fade_pause) == (100, 1000, 100, 200)
     assert [i for i in range(1, 2001) if control._is_reset(i)] == [1000] and control.fades(2000)
-    options = (f"{OPTION}densify_from=null", f"{OPTION}reset_every=null", f"{OPTION}to_the_end=false")
-    rules = gaussians_of(ready_to_train(small_gray_scene, NAME, 5, *TRUE, *options)).density.rules
+    budget = ready_to_train(small_gray_scene, NAME, 2000, *TRUE).method.model.budget
+    assert (budget.rates.means_steps, budget.sh_every) == (30_000, 1000)
+    none = (f"{OPTION}{name}=null" for name in ("densify_from", "reset_every", "means_steps", "sh_every"))
+    options = (*none, f"{OPTION}to_the_end=false")
+    trainer = ready_to_train(small_gray_scene, NAME, 5, *TRUE, *options)
+    rules, budget = gaussians_of(trainer).density.rules, trainer.method.model.budget
+    assert (budget.rates, budget.sh_every) == (trainer.context.budget.rates, trainer.context.budget.sh_every)
     assert (rules.start, rules.stop, rules.opacity_reset_every) == (200, 700, 10_000)
     moved = gaussians_of(ready_to_train(small_gray_scene, NAME, 5, *TRUE, "+density=mcmc"))
     assert type(moved.density.rules).__name__ == "RelocationRules"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -135,6 +137,15 @@ def test_frames_are_numbered_and_timed_in_the_order_of_names(small_scene):
     assert [frame.index for frame in frames.values()] == list(range(len(frames)))
     times = [frame.time for frame in frames.values()]
     assert times[0] == 0.0 and times[-1] == 1.0 and times == sorted(times)
+
+
+def test_numbers_among_names_are_times_with_their_gaps(small_scene):
+    context = ready_to_train(small_scene, "3dgs", 3).context
+    views = [replace(view, name=name) for view, name in zip(small_scene.views, ("10", "2", "5"), strict=False)]
+    scene = replace(small_scene, train=views, test=[])
+    frames = replace(context, scene=scene).frames
+    found = [(name, frame.index, frame.time) for name, frame in frames.items()]
+    assert found == [("2", 0, 0), ("5", 1, 0.375), ("10", 2, 1)]
 
 
 def test_a_frame_has_the_camera_of_the_view_that_is_given(small_gray_scene):
