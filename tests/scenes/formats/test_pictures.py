@@ -45,6 +45,16 @@ def test_transparent_pixels_are_not_valid(tmp_path):
         read_image(tmp_path / "c.png")
 
 
+def test_temperatures_behind_a_picture_are_told(tmp_path):
+    Image.new("RGB", (8, 6), (90, 80, 70)).save(tmp_path / "a.jpg")
+    before = decode(tmp_path / "a.jpg", as_picture=True)
+    with (tmp_path / "a.jpg").open("ab") as file:
+        file.write(b"HDRI" + bytes(140))
+    after = decode(tmp_path / "a.jpg", as_picture=True)
+    assert not before.header.assumed and "(HDRI) are not read" in after.header.assumed[0]
+    assert np.array_equal(before.values, after.values)
+
+
 def test_webp_and_what_is_not_applied(tmp_path):
     rgb = np.random.default_rng(0).integers(0, 255, (24, 32, 3), np.uint8)
     Image.fromarray(rgb).save(tmp_path / "a.webp", lossless=True)
