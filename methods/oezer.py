@@ -155,6 +155,7 @@ class InstantThermal(FieldMethod):
     """
 
     rays_at_once = 512  # with up to a thousand samples each
+    learns_degC = True  # thermal values are temperatures over the largest one, else those of the image
     thermal_weight, zero = 1.0, 0.0
 
     rates: list[PositiveFloat]  # first and last; they fall log-linearly
@@ -197,6 +198,8 @@ class InstantThermal(FieldMethod):
 
     def begin(self, context: Context, outputs: Mapping[str, Output], whole: int) -> None:
         """Make the field of a stage and the parts around it; whole: iterations of all stages."""
+        if self.learns_degC:
+            self.thermal_weight, self.zero = released_domain(context.scene.temperature)
         size, generator = self.begin_field(context), torch.Generator().manual_seed(context.seed)
         options = GridOptions(
             levels=self.levels,
@@ -276,7 +279,6 @@ class Scratch(InstantThermal):
     """Thermal images alone, from scratch (`--ts`)."""
 
     def setup(self, context: Context) -> None:
-        self.thermal_weight, self.zero = released_domain(context.scene.temperature)
         output = Output("image", 0, context.scene.channels)
         self.begin(context, {"thermal": output}, context.budget.schedule_length)
 
@@ -287,7 +289,6 @@ class SecondBranch(InstantThermal):
     modalities = ("thermal", "rgb")
 
     def setup(self, context: Context) -> None:
-        self.thermal_weight, self.zero = released_domain(context.scene.temperature)
         outputs = {"rgb": Output("image", 0, 3), "thermal": Output("image", 3, 3 + context.scene.channels)}
         self.begin(context, outputs, context.budget.schedule_length)
 
@@ -301,7 +302,6 @@ class Separate(InstantThermal):
     temperature_moves_density: bool  # False: the gradient of the density leaves out the temperature
 
     def setup(self, context: Context) -> None:
-        self.thermal_weight, self.zero = released_domain(context.scene.temperature)
         thermal = Output("temperature", 0, context.scene.channels, False, self.temperature_moves_density)
         self.begin(context, {"rgb": Output("image", 0, 3), "thermal": thermal}, context.budget.schedule_length)
 
@@ -315,6 +315,7 @@ class FineTune(InstantThermal):
     """
 
     modalities = ("thermal", "rgb")
+    learns_degC = False  # but pictures
 
     rgb_share: Annotated[float, Field(gt=0, lt=1)]  # of the iterations
 

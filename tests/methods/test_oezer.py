@@ -112,6 +112,20 @@ def test_white_is_behind_all_but_the_separate_temperature(trainers, small_gray_s
         assert not any(parameter.grad is not None and parameter.grad.any() for parameter in field.parameters())
 
 
+@pytest.mark.parametrize("name", ["oezer_scratch", *JOINT, "oezer_finetune"])
+def test_sigmoids_of_temperature_begin_at_zero_degrees(trainers, small_gray_scene, name):
+    """A head whose last layer is 0 shows the middle of what it spans: fine-tuning, of the image."""
+    method, degC = trainers[name].method, small_gray_scene.temperature
+    field = copy.deepcopy(method.field)
+    for head in field.heads.values():
+        torch.nn.init.zeros_(head.weights[-1])
+    shown = field(rays_of(trainers[name])[0], method.outputs)
+    zero = 0.0 if name == "oezer_finetune" else -degC.min / (degC.max - degC.min)
+    behind = zero if name == "oezer_separate" else 1.0
+    expected = (1 - shown.transmittance) * (1 + zero) / 2 + shown.transmittance * behind
+    assert expected.std() > 0 and torch.allclose(shown.images["thermal"][:, 0], expected, atol=1e-5)
+
+
 @pytest.mark.parametrize("name", JOINT)
 def test_errors_of_temperature_count_as_shares_of_the_largest(small_gray_scene, name):
     method = ready_to_train(small_gray_scene, name, 20, *SIZE).method
