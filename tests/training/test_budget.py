@@ -51,7 +51,7 @@ def test_the_published_protocol_has_no_rule():
     ("option", "value", "phrase"),
     [
         ("points.z", 8, "more than eight standard deviations"), ("points.largest", 64, "squares of 1 to 64 px"),
-        ("points.most", 0.5, "kept where more than half would be"),
+        ("points.most", 0.7, "kept where more than 70 % would be"),
         ("growth.views", 10, "renders ten training views"), ("growth.z", 4, "more than four standard deviations"),
         ("growth.share", 0.85, "as many as make up 85 %"), ("growth.clearance", 3, "within three standard deviations"),
         ("pixels.largest_scale", 8, "up to 1/8 of their size"), ("pixels.until", 0.4, "after 40 % of the schedule"),
