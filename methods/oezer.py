@@ -40,6 +40,7 @@ from tdgbench.training.part import Network, Part, Rate, State
 
 FULL_UPDATES = 16  # of all cells of the occupancy grid; then half of them: renderer.py, `update_extra_state`
 POINTS_OF_RAY = 64  # 2^18 points of a step with 4 096 rays at first: main.py, num_points and num_rays
+ONE_PLACE = 1e-6  # × the scene's radius, within which all cameras stand in one place
 MOST_RAYS = 4  # × those of the budget
 
 
@@ -181,7 +182,8 @@ class InstantThermal(FieldMethod):
         """
         centres = np.stack([camera.center for camera in cameras])
         middle = centres.mean(axis=0)
-        if unit := float(np.linalg.norm(centres - middle, axis=1).max()):  # else all cameras are in one place
+        unit = float(np.linalg.norm(centres - middle, axis=1).max())
+        if unit > ONE_PLACE * region.radius:  # else cameras only turn
             x, y, z = middle.tolist()
             region = region._replace(center=(x, y, z), radius=unit)
         largest = self.bound * region.radius
@@ -194,12 +196,15 @@ class InstantThermal(FieldMethod):
             frustums.append(Frustum(camera.K, camera.world_to_camera, camera.width, camera.height, near))
         self.field.region, occupancy = region, self.field.occupancy
         visible = visible_cells(occupancy.cells, region, box, frustums)
+        if not visible.any():
+            raise ValueError(f"no training view shows a point within {self.bound:g} times the cameras' extent")
         occupancy.leave_empty(~visible.to(occupancy.densities.device))
 
     def begin(self, context: Context, outputs: Mapping[str, Output], whole: int) -> None:
         """Make the field of a stage and the parts around it; whole: iterations of all stages."""
         if self.learns_degC:
-            self.thermal_weight, self.zero = released_domain(context.scene.temperature)
+            scene = context.scene
+            self.thermal_weight, self.zero = released_domain(None if scene.in_palette else scene.temperature)
         size, generator = self.begin_field(context), torch.Generator().manual_seed(context.seed)
         options = GridOptions(
             levels=self.levels,
@@ -263,13 +268,13 @@ class InstantThermal(FieldMethod):
 def released_domain(temperature: TemperatureRange | None) -> tuple[float, float]:
     """Return the weight with which squared errors of image values are those of released targets, and the value of 0 °C.
 
-    Released targets are temperatures over the scene's largest one (`--tv`, colmap_provider.py). Without a range, or
-    where nothing is above 0 °C, image values count as they are: 1 and 0.
+    Released targets are temperatures over the scene's largest one (`--tv`, colmap_provider.py), of at least 0 °C, where
+    their sigmoids begin. Without a range, or where it begins below 0 °C, image values count as they are: 1 and 0.
 
     >>> released_domain(TemperatureRange(20.0, 40.0))
     (0.25, -1.0)
     """
-    if temperature is None or temperature.max <= 0:
+    if temperature is None or temperature.min < 0:
         return 1.0, 0.0
     span = temperature.max - temperature.min
     return (span / temperature.max) ** 2, -temperature.min / span

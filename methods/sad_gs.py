@@ -85,7 +85,7 @@ class SADGS(Method):
         """Return the fields of the budget that its learning rate and harmonics change."""
         given: dict[str, Any] = {}
         if self.means_steps is not None:
-            given["rates"] = replace(budget.rates, means_steps=round(self.means_steps * budget.schedule_length))
+            given["rates"] = replace(budget.rates, means_steps=max(1, round(self.means_steps * budget.schedule_length)))
         if self.sh_every is not None:
             given["sh_every"] = max(1, round(self.sh_every * budget.schedule_length))
         return given

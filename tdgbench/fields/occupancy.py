@@ -73,7 +73,7 @@ class Marched(NamedTuple):
     contracted: Tensor  # (N, 3)
     rays: Tensor  # (N,) numbers of their rays
     places: Tensor  # (N,) in a table, counted along rows
-    lengths: Tensor  # (R, K) of the intervals, in radii of the region; 0 in places without a sample
+    lengths: Tensor  # (R, K) differences of depth, in radii of the region; 0 in places without a sample
     depths: Tensor  # (R, K) of their middles; likewise
 
     def table(self, values: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ def visible_cells(cells: int, region: Region, box: np.ndarray, frustums: Sequenc
     """Return which cells, of as many along an axis, lie in a box and in some frustum; bool (cells³,), x first.
 
     box: (2, 3) smallest and largest world coordinates. By their centres, with half a cell around the box and a whole
-    one beside an image, as torch-ngp's.
+    one beside an image, as torch-ngp's, and half a cell before `near`, since cells are larger here: surfaces lie there.
     """
     at = torch.arange(cells**3)
     places = torch.stack([at % cells, at // cells % cells, at // cells**2], dim=1)
@@ -41,7 +41,7 @@ def visible_cells(cells: int, region: Region, box: np.ndarray, frustums: Sequenc
     shown = torch.zeros_like(inside)
     for K, world_to_camera, width, height, near in frustums:
         x, y, z = (centres @ torch.from_numpy(world_to_camera[:3, :3]).T + torch.from_numpy(world_to_camera[:3, 3])).T
-        seen = z > near
+        seen = z > near - half
         for along, size, focal, middle in ((x, width, K[0, 0], K[0, 2]), (y, height, K[1, 1], K[1, 2])):
             seen &= (along > -middle / focal * z - 2 * half) & (along < (size - middle) / focal * z + 2 * half)
         shown |= seen

@@ -61,9 +61,10 @@ def thermal_image(decoded: Decoded, path: Path, radiometry: Radiometry | None = 
 
     A lossy picture is gray if its chroma is no more than noise. Raises SceneError.
     """
-    luma = without_chroma(decoded.values) if decoded.header.is_lossy else None
-    image = unit_image(decoded if luma is None else replace(decoded, values=luma), path, radiometry)
-    has_chroma = luma is not None and not is_gray(decoded.values)
+    values = decoded.values if decoded.valid is None else np.where(decoded.valid[..., None], decoded.values, 0)
+    luma = without_chroma(values) if decoded.header.is_lossy else None
+    image = unit_image(replace(decoded, values=values if luma is None else luma), path, radiometry)
+    has_chroma = luma is not None and not is_gray(values)
     said = f"gray but for chroma of up to {MOST_CHROMA:g} levels, which is left out" if has_chroma else ""
     return np.ascontiguousarray(image[..., :1]) if is_gray(image) else image, said
 

@@ -51,6 +51,11 @@ class Radiometry:
     scale: CountScale = CountScale()
 
 
+def temperature_file(folder: Path) -> Path:
+    """Return the file that may state °C of image values: ThermoScenes' bounds, if they are there, else FILE."""
+    return folder / (BOUNDS_FILE if is_there(folder / BOUNDS_FILE) else FILE)
+
+
 def read_radiometry(path: Path) -> Radiometry | None:
     """Read `temperature.json` or BOUNDS_FILE; None if there is no such file. Raises SceneError.
 

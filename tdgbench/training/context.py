@@ -26,6 +26,7 @@ from tdgbench.training.skips import Skips
 from tdgbench.training.splat_model import ModelOptions, SplatModel
 
 _P = TypeVar("_P", bound=Part)
+MOST_GAPS = 10  # numbers for each view, of names that give times
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Frame:
     """A camera to render from; if a view of the scene was taken with it, also number and time of that view."""
 
     camera: Camera
-    index: int | None = None  # of the view among all of the scene, in the order of their names
+    index: int | None = None  # of the view among all of the scene, in the order of `Context.frames`
     time: float = 0.0  # of the view, 0 (the first) to 1 (the last)
 
 
@@ -167,12 +168,15 @@ class Context:
     def frames(self) -> dict[str, Frame]:
         """The frame of each view of the scene by name. Numbers, and times from 0 to 1, follow the order of names.
 
-        Where all names are whole numbers, times follow these: gaps count.
+        Where all names are whole numbers, the order is theirs, and times have their gaps, but where these are most of
+        them, as of dates.
         """
         views = {view.name: view for view in self.scene.views}
         are_numbers = all(name.isdecimal() for name in views)
         names = sorted(views, key=lambda name: (int(name), name)) if are_numbers else sorted(views)
-        places = [int(name) - int(names[0]) for name in names] if are_numbers else list(range(len(names)))
+        places = list(range(len(names)))
+        if are_numbers and (span := int(names[-1]) - int(names[0])) <= MOST_GAPS * len(names) and span > 0:
+            places = [int(name) - int(names[0]) for name in names]
         last = max(places[-1], 1)
         return {
             name: Frame(views[name].camera, index, place / last)

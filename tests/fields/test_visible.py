@@ -45,10 +45,10 @@ def test_cells_in_view_beyond_the_near_depth_are_visible_and_others_not():
         shown |= camera.holds(pixels, z) & (z > NEAR)
         margin = 4 * size * np.diag(K)[:2, None] / np.abs(z)  # px
         middle = np.array([[32], [24]])
-        far_off &= (z < NEAR) | (np.abs(pixels.T - middle) > middle + margin).any(axis=0)
+        far_off &= (z < NEAR - size) | (np.abs(pixels.T - middle) > middle + margin).any(axis=0)
     shown &= np.isfinite(size)
     assert shown.sum() > 500 and found[shown].all()
-    assert far_off.sum() > 500 and not found[far_off].any()
+    assert far_off.sum() > 300 and not found[far_off].any()
     assert not found[~np.isfinite(size)].any()
 
 
@@ -60,8 +60,19 @@ def test_no_cell_is_visible_outside_of_the_box_or_before_the_near_depth():
     inside = ((centres > box[0]) & (centres < box[1])).all(axis=1) & np.isfinite(size)
     assert inside.sum() > 50 and found[inside].all() and not found[outside].any()
     found = visible_cells(CELLS, REGION, box, [frustum(camera, 8.5)]).numpy()
-    assert found[inside & (centres[:, 2] > 2.5)].all() and not found[centres[:, 2] < 2.5].any()
+    assert found[inside & (centres[:, 2] > 2.5)].all() and not found[centres[:, 2] < 2.5 - size].any()
 
 
 def test_without_cameras_nothing_is_visible():
     assert not visible_cells(CELLS, REGION, EVERYTHING, []).any()
+
+
+def test_surfaces_at_the_near_depth_are_visible():
+    """Of a flat scene, points lie at the depth that nothing is nearer than, wherever cells have their centres."""
+    for z in np.linspace(2.0, 2.3, 7):
+        camera = camera_at(0.5, -1.0, z - 3.0)
+        found = visible_cells(CELLS, REGION, EVERYTHING, [frustum(camera, 3.0)])
+        x, y = np.meshgrid(np.linspace(-0.5, 1.5, 20), np.linspace(-1.8, -0.2, 20))
+        points = np.stack([x.ravel(), y.ravel(), np.full(x.size, z + 1e-6)], axis=1)
+        at = (REGION.contracted(torch.from_numpy(points)) * CELLS).long()
+        assert camera.shows(points).all() and found[at[:, 0] + CELLS * (at[:, 1] + CELLS * at[:, 2])].all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 
 from methods.oezer import FULL_UPDATES, MOST_RAYS, POINTS_OF_RAY, RayCount
 from tdgbench.fields import Rays, region_of
+from tdgbench.scenes import TemperatureRange
 from tdgbench.training.loop import train
 from tests.helpers.exact import check_against_exact
 from tests.helpers.training import ready_to_train
@@ -134,9 +136,9 @@ def test_errors_of_temperature_count_as_shares_of_the_largest(small_gray_scene, 
     shown, target = ((degC.min + span * image) / degC.max for image in (step.render.image, step.target))
     assert step.terms["thermal"].item() == pytest.approx((shown - target).square().mean().item(), rel=1e-5)
     scene = copy.copy(small_gray_scene)
-    scene.temperature = None
-    method = ready_to_train(scene, name, 20, *SIZE).method
-    assert method.thermal_weight == 1 and method.field.zero == 0
+    for scene.temperature in (None, TemperatureRange(-5.0, 20.0)):
+        method = ready_to_train(scene, name, 20, *SIZE).method
+        assert method.thermal_weight == 1 and method.field.zero == 0
 
 
 @pytest.mark.parametrize("name", JOINT)
@@ -213,8 +215,24 @@ def test_nothing_is_before_the_points_of_all_views_or_outside_of_their_box(small
     z = camera.project(shown)[1]
     cell = 4 * region.radius / occupancy.cells
     assert occupied(np.ones(len(z)))[z > near + cell].all() and (z > near + cell).sum() > 20
-    assert not occupied((near - cell) / z).any() and near > 1.5 * cell
+    assert not occupied((near - 1.4 * cell) / z).any() and near > 1.5 * cell
     assert not occupied(1e3 * np.abs(points).max() / z).any()
+
+
+def test_cameras_that_only_turn_are_no_unit_and_a_scene_beyond_the_bound_is_refused(small_gray_scene):
+    method = ready_to_train(small_gray_scene, "oezer_scratch", 60, *SIZE).method
+    points, camera = small_gray_scene.points.points, small_gray_scene.train[0].camera
+    poses = [camera.world_to_camera.copy() for _ in range(5)]
+    for number, pose in enumerate(poses):
+        a = 0.05 * number
+        pose[:3] = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]]) @ pose[:3]
+    turned, region = [replace(camera, world_to_camera=pose) for pose in poses], region_of(points, np.stack(poses))
+    method.place_in(region, points, turned)
+    assert method.field.region == region and (method.field.occupancy.densities >= 0).any()
+    for number, pose in enumerate(poses):
+        pose[0, 3] += 1e-3 * number
+    with pytest.raises(ValueError, match="no training view shows a point within 8 times the cameras' extent"):
+        method.place_in(region, points, [replace(camera, world_to_camera=pose) for pose in poses])
 
 
 def test_its_ball_is_around_the_cameras(trainers, small_gray_scene):

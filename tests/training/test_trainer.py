@@ -146,6 +146,11 @@ def test_numbers_among_names_are_times_with_their_gaps(small_scene):
     frames = replace(context, scene=scene).frames
     found = [(name, frame.index, frame.time) for name, frame in frames.items()]
     assert found == [("2", 0, 0), ("5", 1, 0.375), ("10", 2, 1)]
+    views = [
+        replace(view, name=name) for view, name in zip(views, ("20240806235959", "20240807000000", "1"), strict=True)
+    ]
+    frames = replace(context, scene=replace(scene, train=views)).frames
+    assert [(name, frame.time) for name, frame in frames.items()][1] == ("20240806235959", 0.5)
 
 
 def test_a_frame_has_the_camera_of_the_view_that_is_given(small_gray_scene):

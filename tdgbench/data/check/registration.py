@@ -1,8 +1,8 @@
 """Whether RGB and thermal images are registered: the offset between edges of the same views, and what to do about it.
 
 The edge maps of a view (gradient magnitudes, since signs differ between the modalities) are correlated over all shifts
-up to 5 % of the width (16 px at least), and up to 15 % if the best one is at the rim. The mean over views has its peak
-at the offset; resampling the views gives the spread of it.
+up to 5 % of the width (16 px at least), and up to 15 % if none of these stands out. The mean over views has its peak at
+the offset; resampling the views gives the spread of it.
 """
 
 from __future__ import annotations
@@ -88,13 +88,15 @@ def edge_offset(pairs: Sequence[ViewPair]) -> Offset | str:
         radius = max(SHORTEST_RANGE, round(share * pairs[0].rgb.shape[1]))
         surfaces = np.stack([_edge_correlation(pair, radius) for pair in pairs])
         mean = surfaces.mean(axis=0)
-        row, column = np.unravel_index(mean.argmax(), mean.shape)
-        if min(row, column) > 0 and max(row, column) < 2 * radius:
+        row, column = (int(place) for place in np.unravel_index(mean.argmax(), mean.shape))
+        if min(row, column) == 0 or max(row, column) == 2 * radius:
+            unknown = f"no offset below {radius} px fits"
+        elif _prominence(mean, row, column) < MIN_PROMINENCE:
+            unknown = "edges of RGB and thermal images have too little in common"
+        else:
             break
     else:
-        return f"no offset below {radius} px fits"
-    if _prominence(mean, int(row), int(column)) < MIN_PROMINENCE:
-        return "edges of RGB and thermal images have too little in common"
+        return unknown
     y, x = _peak(mean)
     spread = _spread(surfaces, y, x)
     if spread > MAX_SPREAD:
@@ -159,7 +161,7 @@ def _edge_correlation(pair: ViewPair, radius: int) -> np.ndarray:
         return np.zeros((2 * radius + 1, 2 * radius + 1))
     from scipy import fft  # half a second, which a check without RGB images need not wait for
 
-    shape = [fft.next_fast_len(size + radius, real=True) for size in rgb.shape]
+    shape = [fft.next_fast_len(max(size + radius, 2 * radius + 1), real=True) for size in rgb.shape]
     spectrum = np.conj(fft.rfft2(rgb, shape)) * fft.rfft2(thermal, shape)
     surface = np.roll(fft.irfft2(spectrum, shape), (radius, radius), axis=(0, 1))
     return surface[: 2 * radius + 1, : 2 * radius + 1] / norm

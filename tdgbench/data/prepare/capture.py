@@ -24,7 +24,7 @@ from tdgbench.scenes.formats import Decoded, PhotoMapping, agreed_scale, celsius
 from tdgbench.scenes.formats.pictures import JPEG
 from tdgbench.scenes.images import read_image, thermal_image, with_channels
 from tdgbench.scenes.inputs import is_there
-from tdgbench.scenes.temperature import BOUNDS_FILE, FILE, CountScale, read_radiometry
+from tdgbench.scenes.temperature import CountScale, read_radiometry, temperature_file
 
 TAILS = 0.5, 99.5  # percentiles of a thermal image that become black and white in its picture for COLMAP
 NEARLY_ALL = 0.8  # of the views: others, of another kind, are left out; with fewer, nobody knows what is meant
@@ -101,12 +101,6 @@ class Capture:
         self.views = {name: view for name, view in self.views.items() if name in names}
 
 
-def temperature_file(folder: Path) -> Path:
-    """Return the file that may state °C of image values: temperature.json, or ThermoScenes' bounds if they alone do."""
-    has_bounds = is_there(folder / BOUNDS_FILE) and not is_there(folder / FILE)
-    return folder / (BOUNDS_FILE if has_bounds else FILE)
-
-
 def read_capture(
     folder: Path, work: Path, sources: Sources, scale: CountScale, thermal_alone: bool, report: Report
 ) -> Capture:
@@ -154,7 +148,7 @@ def _keep_main_kind(folder: Path, capture: Capture, kinds: dict[Kind, list[FileR
     if len(views) < NEARLY_ALL * sum(map(len, kinds.values())):
         described = [f"{len(views)} with {kind} ({views[0].view} …)" for kind, views in ranked]
         unread = [one for one in report.files if one.status == "not read"]
-        lost = f". {len(unread)} files more cannot be read, the first since {unread[0].reason}" if unread else ""
+        lost = f". {len(unread)} more cannot be read; the first: {unread[0].reason}" if unread else ""
         raise SceneError(
             f"{folder} holds views of different cameras or settings: {'; '.join(described[:4])}. One scene is of one "
             "camera, or pair of them, in one orientation: prepare each kind from a folder of its own, or name its "
@@ -219,7 +213,8 @@ def _stated(decoded: Decoded, files: ViewFiles, own: CountScale, given: CountSca
         *decoded.header.assumed, *(f"RGB: {words}" for words in rgb), decoded.lost,
     ]  # fmt: skip
     if decoded.header.meaning == "counts" and own == given and given.is_known:
-        lines.append(f"°C = counts × {given.degC_per_count:g} + {given.degC_at_zero:g}, as options or {FILE} say")
+        zero = f"{'-' if given.degC_at_zero < 0 else '+'} {abs(given.degC_at_zero):g}"
+        lines.append(f"°C = counts × {given.degC_per_count:g} {zero}, as --degC-per-count or the folder's file says")
     return lines
 
 

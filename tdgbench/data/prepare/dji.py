@@ -1,8 +1,8 @@
 """DJI's files: which are of one shot, and temperatures that other programs compute of its radiometric JPEG.
 
 Names end in a running number and a lens: DJI_20240806173449_0008_T.JPG; T is thermal, V or W wide, Z zoom, S a picture
-of the split screen. DJI's SDK
-writes NAME.raw as `dji_irp` is told; dji-thermal-cli 1.4.0 writes NAME_temp_c.tiff and others (`process --help`).
+of the split screen. DJI's SDK writes NAME.raw as `dji_irp` is told; dji-thermal-cli 1.4.0 writes NAME_temp_c.tiff and
+others (`process --help`).
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from pydantic import ConfigDict, TypeAdapter
 from tdgbench.data.folders import Stages, new_folder
 from tdgbench.data.poses.references import read_reference
 from tdgbench.data.prepare.calibration import checked_lenses, exif_focal
-from tdgbench.data.prepare.capture import Capture, Kind, read_capture, temperature_file, too_few, write_pictures
+from tdgbench.data.prepare.capture import Capture, Kind, read_capture, too_few, write_pictures
 from tdgbench.data.prepare.known_poses import known_poses, structure_of
 from tdgbench.data.prepare.places import coordinates, doubted_by_height
 from tdgbench.data.prepare.report import Report
@@ -28,7 +28,7 @@ from tdgbench.scenes.colmap import write_model
 from tdgbench.scenes.formats import PhotoMapping
 from tdgbench.scenes.formats.pictures import JPEG
 from tdgbench.scenes.inputs import is_there
-from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry
+from tdgbench.scenes.temperature import FILE, CountScale, read_radiometry, temperature_file
 
 READ = TypeAdapter(tuple[Capture, Report], config=ConfigDict(ser_json_inf_nan="constants"))  # what was read, as JSON
 

@@ -19,7 +19,7 @@ from tdgbench.text import first_few
 
 EXAMPLE = "--pairs '*_T.tiff' '*_V.jpg'"
 OF_VIEWS = ("", CELSIUS)  # products that a view is read from
-THERMAL, WIDE = ("T",), ("V", "W")  # DJI's lenses; Z, zoom, does not show what they do
+THERMAL, WIDE = ("T",), ("V", "W")  # DJI's lenses; Z, zoom, and S, the screen, do not show what they do
 
 
 class ViewFiles(NamedTuple):
@@ -90,13 +90,16 @@ def find_sources(folder: Path, pairs: tuple[str, str] | None = None, thermal_alo
 
 def _nothing(folder: Path, pairs: tuple[str, str] | None, thermal_alone: bool, sources: Sources) -> SceneError:
     reasons = "; ".join([*sources.notes, *(f"{p.name}: {why}" for p, why in list(sources.left_out.items())[:2])])
-    what, remedy = "thermal image", f"say which files they are, as by {EXAMPLE}"
-    if not thermal_alone:
-        what = "pair of thermal and RGB images"
-        remedy = f"it must hold radiometric JPEG of FLIR, or files of equal names, or be told names as by {EXAMPLE}; "
-        remedy += "thermal images alone need --sfm thermal"
-        if pairs is not None:
-            remedy = f"{pairs[0]!r} and {pairs[1]!r} must match files of equal view names"
+    what = "thermal image" if thermal_alone else "pair of thermal and RGB images"
+    if thermal_alone:
+        remedy = f"say which files they are, as by {EXAMPLE}"
+    elif pairs is not None:
+        remedy = f"{pairs[0]!r} and {pairs[1]!r} must match files of equal view names"
+    else:
+        remedy = (
+            f"it must hold radiometric JPEG of FLIR, or files of equal names, or be told names as by {EXAMPLE}; "
+            "thermal images alone need --sfm thermal"
+        )
     return SceneError(f"{folder} holds no {what}" + (f" ({reasons})" if reasons else "") + f"; {remedy}")
 
 

@@ -24,7 +24,7 @@ JPEG = (".jpg", ".jpeg")
 LOSSY = ("JPEG", "MPO", "WEBP")  # Pillow's names
 HDRI = b"\xff\xd9HDRI"  # the end of a JPEG, and what a maker's cameras write behind it (seen in rsantos2032's
 # Thermal-Image-Registry): a header of 44 bytes, then counts of 16 bits
-NOT_READ = "temperatures behind the picture (HDRI) are not read, and what the screen showed is: export float TIFF in °C"
+NOT_READ = "the picture shows the screen; temperatures behind it (HDRI) are not read: export float TIFF in °C"
 PNG = b"\x89PNG\r\n\x1a\n"
 RGB_TYPE, GRAY_ALPHA, RGB_ALPHA = 2, 4, 6  # PNG's colour types
 COUNT_MODES = ("I;16", "I;16B", "I;16L", "I;16N", "I")  # Pillow's, of one channel
@@ -71,8 +71,12 @@ def _header_of(image: Image.Image, source: Source) -> Header:
     is_deep = image.mode in COUNT_MODES or _deep_colour_type(source) is not None
     depth: Depth = "16-bit" if is_deep else "8-bit"
     meaning: Meaning = "counts" if is_deep else "shown"
+    assumed = _not_applied(image)
+    if image.format == "JPEG":
+        source.file.seek(0)
+        assumed += (NOT_READ,) if HDRI in source.file.read() else ()
     return Header(
-        str(image.format), *image.size, depth, meaning, assumed=_not_applied(image), is_lossy=image.format in LOSSY,
+        str(image.format), *image.size, depth, meaning, assumed=assumed, is_lossy=image.format in LOSSY,
         may_be_shown=is_deep,
     )  # fmt: skip
 
@@ -84,10 +88,6 @@ def decode_picture(source: Source) -> Decoded:
             image.verify()  # the checksums, which decoding ignores; the image is closed then
     with pillow(source) as image:
         header = _header_of(image, source)
-        if image.format in LOSSY:
-            source.file.seek(0)
-            if HDRI in source.file.read():
-                header = header._replace(assumed=(*header.assumed, NOT_READ))
         if _deep_colour_type(source) is not None:
             return _decode_deep(source, header)
         if image.mode in COUNT_MODES:

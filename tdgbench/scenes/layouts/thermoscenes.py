@@ -20,7 +20,7 @@ from tdgbench.scenes.formats import SUFFIXES
 from tdgbench.scenes.inputs import is_there, read_bytes, regular_file
 from tdgbench.scenes.layouts.layout import Images, Layout, SceneFiles, by_view, find_images, find_masks, model_folders
 from tdgbench.scenes.layouts.transforms import POINTS, Transforms, read_points, read_transforms, there, where_they_are
-from tdgbench.scenes.temperature import BOUNDS_FILE, FILE, read_radiometry
+from tdgbench.scenes.temperature import BOUNDS_FILE, FILE, read_radiometry, temperature_file
 
 PAIR, HEAD = re.compile(rb'"(rgb|thermal)"\s*:\s*\{'), 4096  # bytes
 JSON_FILES = ("transforms.json", "transforms_thermal.json")
@@ -43,7 +43,7 @@ def _find(folder: Path) -> SceneFiles:
         raise SceneError(f"{folder} has no {JSON_FILES[0]}; the layout is {LAYOUT.looks}")
     content = read_transforms(path)
     thermal, rgb, stated, notes = _files(folder, path, content)
-    bounds = read_radiometry(folder / BOUNDS_FILE) or read_radiometry(folder / FILE)
+    bounds = read_radiometry(temperature_file(folder))
     files = [path, *(folder / name for name in (BOUNDS_FILE, FILE) if is_there(folder / name))]
     if bounds is None:
         notes.append(f"there is no {BOUNDS_FILE}, so no temperature of image values is known")

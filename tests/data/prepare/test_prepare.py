@@ -111,7 +111,7 @@ def test_radiometric_tiff_pairs_and_masks(tmp_path):
         Image.fromarray(np.full((60, 80, 3), 100, np.uint8)).save(source / f"{index}_V.jpg")
     options = replace(EXTRACT, pairs=("*_T.tiff", "*_V.jpg"), counts=CountScale(1 / 40, -100.0))
     report = prepare_scene(source, tmp_path / "out", options)
-    assert report.size == (40, 30) and report.is_complete and "°C = counts × 0.025 + -100" in report.text()
+    assert report.size == (40, 30) and report.is_complete and "°C = counts × 0.025 - 100" in report.text()
     assert not (tmp_path / "out" / "sparse").exists() and "run COLMAP on rgb/" in report.text()
     written = np.asarray(Image.open(tmp_path / "out" / "thermal" / "1.tiff"))
     assert np.allclose(written[10:], degC[10:], atol=0.02) and not (tmp_path / "out" / "masks").exists()
@@ -306,5 +306,5 @@ def test_files_that_cannot_be_read_are_told_with_several_kinds(tmp_path):
     for index, size in enumerate(((40, 30), (30, 40), (40, 30), (20, 20))):
         Image.new("L", size).save(tmp_path / "camera" / f"{index}.png")
     (tmp_path / "camera" / "4.png").write_bytes(b"no picture")
-    with pytest.raises(SceneError, match=r"different cameras.*: 2 with .* 1 files more cannot be read.*4\.png"):
+    with pytest.raises(SceneError, match=r"different cameras.*: 2 with .* 1 more cannot be read.*4\.png"):
         prepare_scene(tmp_path / "camera", tmp_path / "out", THERMAL_ALONE)

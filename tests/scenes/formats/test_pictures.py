@@ -52,6 +52,7 @@ def test_temperatures_behind_a_picture_are_told(tmp_path):
         file.write(b"HDRI" + bytes(140))
     after = decode(tmp_path / "a.jpg", as_picture=True)
     assert not before.header.assumed and "(HDRI) are not read" in after.header.assumed[0]
+    assert header(tmp_path / "a.jpg", as_picture=True) == after.header
     assert np.array_equal(before.values, after.values)
 
 
