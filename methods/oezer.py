@@ -21,7 +21,6 @@ from tdgbench.fields import (
     MLP,
     DensityField,
     FieldAdam,
-    Frustum,
     GridOptions,
     OccupancyGrid,
     Rays,
@@ -188,14 +187,13 @@ class InstantThermal(FieldMethod):
             region = region._replace(center=(x, y, z), radius=unit)
         largest = self.bound * region.radius
         box = np.stack([points.min(axis=0), points.max(axis=0)]).clip(middle - largest, middle + largest)
-        frustums = []
+        nears = []
         for camera in cameras:
             pixels, z = camera.project(points)
             shown = z[camera.holds(pixels, z)]
-            near = float(np.percentile(shown, self.near_percentile)) if len(shown) else 0.0
-            frustums.append(Frustum(camera.K, camera.world_to_camera, camera.width, camera.height, near))
+            nears.append(float(np.percentile(shown, self.near_percentile)) if len(shown) else 0.0)
         self.field.region, occupancy = region, self.field.occupancy
-        visible = visible_cells(occupancy.cells, region, box, frustums)
+        visible = visible_cells(occupancy.cells, region, box, cameras, nears)
         if not visible.any():
             raise ValueError(f"no training view shows a point within {self.bound:g} times the cameras' extent")
         occupancy.leave_empty(~visible.to(occupancy.densities.device))

@@ -40,6 +40,11 @@ from tdgbench.training.part import Part
 FARTHEST = 6.0  # deviations from a Gaussian, beyond which its density, at most exp(−18), is left out
 
 
+def iterations_of(share: float, budget: Budget) -> int:
+    """Return a share of all iterations, at least one."""
+    return max(1, round(share * budget.schedule_length))
+
+
 @dataclass
 class SADGS(Method):
     """L = λ_image ((1 − λ_ssim) L1 + λ_ssim (1 − SSIM)) + L_free. Lengths are in metres."""
@@ -85,9 +90,9 @@ class SADGS(Method):
         """Return the fields of the budget that its learning rate and harmonics change."""
         given: dict[str, Any] = {}
         if self.means_steps is not None:
-            given["rates"] = replace(budget.rates, means_steps=max(1, round(self.means_steps * budget.schedule_length)))
+            given["rates"] = replace(budget.rates, means_steps=iterations_of(self.means_steps, budget))
         if self.sh_every is not None:
-            given["sh_every"] = max(1, round(self.sh_every * budget.schedule_length))
+            given["sh_every"] = iterations_of(self.sh_every, budget)
         return given
 
     def _density(self, budget: Budget) -> DensityRules:
@@ -96,18 +101,17 @@ class SADGS(Method):
         if type(rules) is not DensityRules:
             return rules
 
-        def count(share: float) -> int:
-            return max(1, round(share * budget.schedule_length))
-
         given = {**vars(rules), "supported": partial(self.surfaces.support, tolerance=self.tolerance * self.unit)}
         if self.densify_from is not None:
             given["start"] = round(self.densify_from * budget.schedule_length)
         if self.reset_every is not None:
-            given["opacity_reset_every"] = count(self.reset_every)
+            given["opacity_reset_every"] = iterations_of(self.reset_every, budget)
         if self.to_the_end:
             given["stop"] = budget.iterations + 1
         pause = round(self.fade_pause * budget.schedule_length)
-        return SupportRules(**given, fade=self.fade, fade_every=count(self.fade_every), fade_pause=pause)
+        return SupportRules(
+            **given, fade=self.fade, fade_every=iterations_of(self.fade_every, budget), fade_pause=pause
+        )
 
     def step(self, iteration: int) -> Step:
         view, free, unit = self.views.next(), list[Tensor](), self.unit

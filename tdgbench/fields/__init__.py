@@ -9,10 +9,10 @@ from tdgbench.fields.occupancy import OccupancyGrid, march
 from tdgbench.fields.proposals import Sampler, annealed, proposal_loss
 from tdgbench.fields.rays import Rays, image_rays, rays_of
 from tdgbench.fields.sampling import distortion_loss
-from tdgbench.fields.visible import Frustum, visible_cells
+from tdgbench.fields.visible import visible_cells
 
 __all__ = [
-    "MLP", "DensityField", "FieldAdam", "Frustum", "GridOptions", "HashGrid", "OccupancyGrid", "Rays", "Region",
+    "MLP", "DensityField", "FieldAdam", "GridOptions", "HashGrid", "OccupancyGrid", "Rays", "Region",
     "Sampler", "annealed", "distortion_loss", "encoded_directions", "image_rays", "march", "proposal_loss", "rays_of",
     "region_of", "visible_cells",
 ]  # fmt: skip

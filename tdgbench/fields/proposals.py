@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from tdgbench.fields.contraction import Region
 from tdgbench.fields.density import DensityField
 from tdgbench.fields.rays import Rays
-from tdgbench.fields.sampling import Spacing, SteadySpacing, interlevel_loss, resampled_edges, stratified_edges
+from tdgbench.fields.sampling import DisparitySpacing, Spacing, interlevel_loss, resampled_edges, stratified_edges
 from tdgbench.fields.volume import weights_of
 
 ANNEALING_SLOPE = 10.0  # Barron et al. 2022, supplement (eq. 18)
@@ -54,7 +54,7 @@ class Sampler(nn.Module):
         generator: of jitter; None: none. annealing: exponent of the proposals' weights (`annealed`). learns: whether
         gradients will flow to the proposals.
         """
-        spacing, proposed = Spacing(region.near, region.far, region.radius), []
+        spacing, proposed = DisparitySpacing(region.near, region.far, region.radius), []
         places = stratified_edges(len(rays.origins), self.counts[0], generator).to(rays.origins)
         for proposal, count in zip(self.proposals, self.counts[1:], strict=True):
             with torch.set_grad_enabled(learns and torch.is_grad_enabled()):
@@ -65,7 +65,7 @@ class Sampler(nn.Module):
         return samples_at(places, rays, region, spacing), proposed
 
 
-def samples_at(places: Tensor, rays: Rays, region: Region, spacing: Spacing | SteadySpacing) -> Samples:
+def samples_at(places: Tensor, rays: Rays, region: Region, spacing: Spacing) -> Samples:
     """Return the samples between edges (R, S + 1) in a spacing."""
     edges = spacing.depths(places)
     lengths = edges.diff(dim=1) * (rays.directions.norm(dim=1, keepdim=True) / region.radius)

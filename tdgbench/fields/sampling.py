@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -13,13 +13,9 @@ HISTOGRAM_PADDING = 0.01  # weight that each interval gets in addition, so that 
 EPS = 1e-7
 
 
-class Spacing(NamedTuple):
-    """Maps places in [0, 1] to depths: linear up to the depth `unit`, in disparity beyond, as nerfacto's sampler.
-
-    >>> spacing = Spacing(near=0.5, far=8.0, unit=2.0)
-    >>> spacing.depths(torch.tensor([0.0, 0.5, 1.0]))
-    tensor([0.5000, 2.0000, 8.0000])
-    """
+@dataclass(frozen=True)
+class Spacing:
+    """Maps places in [0, 1] to depths from `near` to `far`, both of them > 0; beyond the depth `unit`, steps grow."""
 
     near: float
     far: float
@@ -27,35 +23,45 @@ class Spacing(NamedTuple):
 
     def depths(self, places: Tensor) -> Tensor:
         """Return the depths of places, any shape."""
-        first, last = (self._place(depth / self.unit) for depth in (self.near, self.far))
-        place = first + (last - first) * places
-        return self.unit * torch.where(place < 0.5, 2 * place, 1 / (2 - 2 * place).clamp_min(EPS))
+        first, last = (self.place_of(depth / self.unit) for depth in (self.near, self.far))
+        return self.unit * self.depth_at(first + (last - first) * places)
 
-    @staticmethod
-    def _place(depth: float) -> float:
+    def place_of(self, depth: float) -> float:
+        """Return the place of a depth in units, on an axis of the spacing's own."""
+        raise NotImplementedError
+
+    def depth_at(self, place: Tensor) -> Tensor:
+        """Return the depths, in units, of places on that axis."""
+        raise NotImplementedError
+
+
+class DisparitySpacing(Spacing):
+    """Linear up to `unit`, in disparity beyond, as nerfacto's sampler.
+
+    >>> spacing = DisparitySpacing(near=0.5, far=8.0, unit=2.0)
+    >>> spacing.depths(torch.tensor([0.0, 0.5, 1.0]))
+    tensor([0.5000, 2.0000, 8.0000])
+    """
+
+    def place_of(self, depth: float) -> float:
         return depth / 2 if depth < 1 else 1 - 1 / (2 * depth)
 
+    def depth_at(self, place: Tensor) -> Tensor:
+        return torch.where(place < 0.5, 2 * place, 1 / (2 - 2 * place).clamp_min(EPS))
 
-class SteadySpacing(NamedTuple):
-    """Maps places in [0, 1] to depths: steps are even up to `unit`, and in proportion to depth beyond, as torch-ngp's.
+
+class SteadySpacing(Spacing):
+    """Even steps up to `unit`, in proportion to depth beyond, as torch-ngp's.
 
     >>> SteadySpacing(near=0.5, far=2 * math.e, unit=2.0).depths(torch.tensor([0.0, 3 / 7, 1.0]))
     tensor([0.5000, 2.0000, 5.4366])
     """
 
-    near: float
-    far: float
-    unit: float
-
-    def depths(self, places: Tensor) -> Tensor:
-        """Return the depths of places, any shape."""
-        first, last = (self._place(depth / self.unit) for depth in (self.near, self.far))
-        place = first + (last - first) * places
-        return self.unit * torch.where(place < 1, place, (place - 1).exp())
-
-    @staticmethod
-    def _place(depth: float) -> float:
+    def place_of(self, depth: float) -> float:
         return depth if depth < 1 else 1 + math.log(depth)
+
+    def depth_at(self, place: Tensor) -> Tensor:
+        return torch.where(place < 1, place, (place - 1).exp())
 
 
 def stratified_edges(rays: int, count: int, generator: torch.Generator | None) -> Tensor:

@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from tdgbench.fields.contraction import Region
+from tdgbench.splats.view import CameraLike
 
 
-class Frustum(NamedTuple):
-    """What a camera shows beyond a depth; in OpenCV axes."""
+def visible_cells(
+    cells: int, region: Region, box: np.ndarray, cameras: Sequence[CameraLike], nears: Sequence[float]
+) -> Tensor:
+    """Return which cells, of as many along an axis, lie in a box and in some view; bool (cells³,), x first.
 
-    K: np.ndarray  # (3, 3) px
-    world_to_camera: np.ndarray  # (4, 4)
-    width: int  # px
-    height: int  # px
-    near: float  # z, world units
-
-
-def visible_cells(cells: int, region: Region, box: np.ndarray, frustums: Sequence[Frustum]) -> Tensor:
-    """Return which cells, of as many along an axis, lie in a box and in some frustum; bool (cells³,), x first.
-
-    box: (2, 3) smallest and largest world coordinates. By their centres, with half a cell around the box and a whole
-    one beside an image, as torch-ngp's, and half a cell before `near`, since cells are larger here: surfaces lie there.
+    box: (2, 3) smallest and largest world coordinates. nears: z before which a camera shows nothing, world units. By
+    their centres, with half a cell around the box and a whole one beside an image, as torch-ngp's, and half a cell
+    before `near`, since cells are larger here: surfaces lie there.
     """
     at = torch.arange(cells**3)
     places = torch.stack([at % cells, at // cells % cells, at // cells**2], dim=1)
@@ -39,10 +32,11 @@ def visible_cells(cells: int, region: Region, box: np.ndarray, frustums: Sequenc
     low, high = torch.from_numpy(box)
     inside = ((centres > low - half[:, None]) & (centres < high + half[:, None])).all(dim=1)
     shown = torch.zeros_like(inside)
-    for K, world_to_camera, width, height, near in frustums:
-        x, y, z = (centres @ torch.from_numpy(world_to_camera[:3, :3]).T + torch.from_numpy(world_to_camera[:3, 3])).T
+    for camera, near in zip(cameras, nears, strict=True):
+        K, pose = camera.K, torch.from_numpy(camera.world_to_camera)
+        x, y, z = (centres @ pose[:3, :3].T + pose[:3, 3]).T
         seen = z > near - half
-        for along, size, focal, middle in ((x, width, K[0, 0], K[0, 2]), (y, height, K[1, 1], K[1, 2])):
+        for along, size, focal, middle in ((x, camera.width, K[0, 0], K[0, 2]), (y, camera.height, K[1, 1], K[1, 2])):
             seen &= (along > -middle / focal * z - 2 * half) & (along < (size - middle) / focal * z + 2 * half)
         shown |= seen
     result[result.clone()] = inside & shown

@@ -61,7 +61,7 @@ def thermal_image(decoded: Decoded, path: Path, radiometry: Radiometry | None = 
 
     A lossy picture is gray if its chroma is no more than noise. Raises SceneError.
     """
-    values = decoded.values if decoded.valid is None else np.where(decoded.valid[..., None], decoded.values, 0)
+    values = nearest_valid(decoded.values, decoded.valid)
     luma = without_chroma(values) if decoded.header.is_lossy else None
     image = unit_image(replace(decoded, values=values if luma is None else luma), path, radiometry)
     has_chroma = luma is not None and not is_gray(values)

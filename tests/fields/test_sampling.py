@@ -6,7 +6,7 @@ import torch
 
 from tdgbench.fields.sampling import (
     HISTOGRAM_PADDING,
-    Spacing,
+    DisparitySpacing,
     SteadySpacing,
     distortion_loss,
     interlevel_loss,
@@ -36,7 +36,7 @@ def test_steps_are_even_and_then_in_proportion_to_depth():
 
 
 def test_spacing_is_linear_and_then_even_in_disparity():
-    spacing = Spacing(near=0.25, far=16.0, unit=2.0)
+    spacing = DisparitySpacing(near=0.25, far=16.0, unit=2.0)
     depths = spacing.depths(torch.linspace(0, 1, 1001, dtype=torch.float64))
     assert depths[0] == 0.25 and torch.isclose(depths[-1], torch.tensor(16.0, dtype=torch.float64))
     near, far = depths[depths < 2].diff(), (1 / depths[depths > 2]).diff()

@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from tdgbench.fields.contraction import Region
-from tdgbench.fields.visible import Frustum, visible_cells
+from tdgbench.fields.visible import visible_cells
 from tdgbench.scenes import Camera
 
 REGION = Region((0.5, -1.0, 2.0), 1.5, 0.1, 50.0)
@@ -20,10 +20,6 @@ def camera_at(x: float, y: float, z: float) -> Camera:
     return Camera(K, pose, 64, 48)
 
 
-def frustum(camera: Camera, near: float = NEAR) -> Frustum:
-    return Frustum(camera.K, camera.world_to_camera, camera.width, camera.height, near)
-
-
 def cells_at() -> tuple[np.ndarray, np.ndarray]:
     """World positions (cells³, 3) of the centres, and distances (cells³,) to neighbours; inf where nothing is."""
     z, y, x = np.unravel_index(np.arange(CELLS**3), (CELLS,) * 3)
@@ -37,7 +33,7 @@ def cells_at() -> tuple[np.ndarray, np.ndarray]:
 
 def test_cells_in_view_beyond_the_near_depth_are_visible_and_others_not():
     cameras = [camera_at(0.5, -1.0, -2.0), camera_at(1.5, -1.0, -2.0)]
-    found = visible_cells(CELLS, REGION, EVERYTHING, [frustum(one) for one in cameras]).numpy()
+    found = visible_cells(CELLS, REGION, EVERYTHING, cameras, [NEAR, NEAR]).numpy()
     centres, size = cells_at()
     shown, far_off = np.zeros(len(found), bool), np.ones(len(found), bool)
     for camera in cameras:
@@ -55,23 +51,23 @@ def test_cells_in_view_beyond_the_near_depth_are_visible_and_others_not():
 def test_no_cell_is_visible_outside_of_the_box_or_before_the_near_depth():
     camera, box = camera_at(0.5, -1.0, -6.0), np.array([[-0.5, -2.0, 1.0], [1.5, 0.0, 3.0]])
     centres, size = cells_at()
-    found = visible_cells(CELLS, REGION, box, [frustum(camera)]).numpy()
+    found = visible_cells(CELLS, REGION, box, [camera], [NEAR]).numpy()
     outside = (np.abs(centres - box.mean(axis=0)) > np.ptp(box, axis=0) / 2 + 2 * size[:, None]).any(axis=1)
     inside = ((centres > box[0]) & (centres < box[1])).all(axis=1) & np.isfinite(size)
     assert inside.sum() > 50 and found[inside].all() and not found[outside].any()
-    found = visible_cells(CELLS, REGION, box, [frustum(camera, 8.5)]).numpy()
+    found = visible_cells(CELLS, REGION, box, [camera], [8.5]).numpy()
     assert found[inside & (centres[:, 2] > 2.5)].all() and not found[centres[:, 2] < 2.5 - size].any()
 
 
 def test_without_cameras_nothing_is_visible():
-    assert not visible_cells(CELLS, REGION, EVERYTHING, []).any()
+    assert not visible_cells(CELLS, REGION, EVERYTHING, [], []).any()
 
 
 def test_surfaces_at_the_near_depth_are_visible():
     """Of a flat scene, points lie at the depth that nothing is nearer than, wherever cells have their centres."""
     for z in np.linspace(2.0, 2.3, 7):
         camera = camera_at(0.5, -1.0, z - 3.0)
-        found = visible_cells(CELLS, REGION, EVERYTHING, [frustum(camera, 3.0)])
+        found = visible_cells(CELLS, REGION, EVERYTHING, [camera], [3.0])
         x, y = np.meshgrid(np.linspace(-0.5, 1.5, 20), np.linspace(-1.8, -0.2, 20))
         points = np.stack([x.ravel(), y.ravel(), np.full(x.size, z + 1e-6)], axis=1)
         at = (REGION.contracted(torch.from_numpy(points)) * CELLS).long()

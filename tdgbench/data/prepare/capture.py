@@ -164,8 +164,9 @@ def _assumed(folder: Path, capture: Capture, by_view: Mapping[str, Sequence[str]
     """Return what is assumed about the files, each line once, with the number of views."""
     said = []
     if not capture.kind.is_celsius:
-        known = f"whose °C {temperature_file(folder)} gives"
-        if not is_there(temperature_file(folder)):
+        stated = temperature_file(folder)
+        known = f"whose °C {stated} gives"
+        if not is_there(stated):
             known = "without °C: errors need --degC-per-count, a temperature.json or a converter (docs/data.md)"
         said.append(f"thermal images show values {known}")
     views = len(capture.views)

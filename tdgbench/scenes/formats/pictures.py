@@ -24,6 +24,7 @@ JPEG = (".jpg", ".jpeg")
 LOSSY = ("JPEG", "MPO", "WEBP")  # Pillow's names
 HDRI = b"\xff\xd9HDRI"  # the end of a JPEG, and what a maker's cameras write behind it (seen in rsantos2032's
 # Thermal-Image-Registry): a header of 44 bytes, then counts of 16 bits
+LONGEST_TAIL = 2**20  # bytes of a file that are searched for it: headers of large photos are read for their sizes alone
 NOT_READ = "the picture shows the screen; temperatures behind it (HDRI) are not read: export float TIFF in °C"
 PNG = b"\x89PNG\r\n\x1a\n"
 RGB_TYPE, GRAY_ALPHA, RGB_ALPHA = 2, 4, 6  # PNG's colour types
@@ -73,7 +74,7 @@ def _header_of(image: Image.Image, source: Source) -> Header:
     meaning: Meaning = "counts" if is_deep else "shown"
     assumed = _not_applied(image)
     if image.format == "JPEG":
-        source.file.seek(0)
+        source.file.seek(max(0, source.file.seek(0, io.SEEK_END) - LONGEST_TAIL))
         assumed += (NOT_READ,) if HDRI in source.file.read() else ()
     return Header(
         str(image.format), *image.size, depth, meaning, assumed=assumed, is_lossy=image.format in LOSSY,
