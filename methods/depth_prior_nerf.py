@@ -2,7 +2,8 @@
 
 Roessle et al., "Dense Depth Priors for Neural Radiance Fields from Sparse Input Views", take depth and deviation from a
 network that completes sparse depth of RGB images. Here, the prior is that of thermal images, aligned to sparse points
-(`methods.aligned_depth`), and a view's deviation is that from these points. The field is ThermoNeRF's.
+(`methods.aligned_depth`), and its deviation is that of the view from these points, at edges the range of neighbours.
+The field is ThermoNeRF's.
 Constants and order: barbararoessle/dense_depth_priors_nerf, commit 7c243d24.
 """
 
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from pydantic import NonNegativeFloat, PositiveFloat
+from scipy.ndimage import maximum_filter, minimum_filter
 from torch import Tensor
 from torch.nn import functional
 
@@ -50,6 +52,7 @@ class DepthPriorNeRF(ThermoNeRF):
             values = depths[view.name].of_view(view).values
             depth = np.where(np.isfinite(values) & (values > 0), values, np.float32(0))
             spread = np.maximum(np.float32(deviations[view.name]), np.float32(self.least_deviation) * depth)
+            spread = np.maximum(spread, local_range(depth))
             return torch.from_numpy(np.stack([depth, spread], axis=2))
 
         return {"prior": prior_of}
@@ -60,6 +63,17 @@ class DepthPriorNeRF(ThermoNeRF):
         depth, spread = (prior / unit).unbind(dim=1)
         loss = depth_loss(mean, variance + self.added_variance, depth, spread, self.least_variance)
         return {"depth": self.lambda_depth * loss}
+
+
+def local_range(depth: np.ndarray) -> np.ndarray:
+    """Return largest less smallest known depth in the 3×3 px of each pixel, as `complete_depth` (run_nerf.py).
+
+    depth: (H, W), 0 where unknown; so is the range there.
+    """
+    known = depth > 0
+    largest = maximum_filter(np.where(known, depth, -np.inf), size=3)
+    smallest = minimum_filter(np.where(known, depth, np.inf), size=3)
+    return np.where(known, largest - smallest, 0.0).astype(np.float32)
 
 
 def depth_moments(weights: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:

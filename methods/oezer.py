@@ -39,7 +39,6 @@ from tdgbench.training.part import Network, Part, Rate, State
 
 FULL_UPDATES = 16  # of all cells of the occupancy grid; then half of them: renderer.py, `update_extra_state`
 POINTS_OF_RAY = 64  # 2^18 points of a step with 4 096 rays at first: main.py, num_points and num_rays
-ONE_PLACE = 1e-6  # × the scene's radius, within which all cameras stand in one place
 MOST_RAYS = 4  # × those of the budget
 
 
@@ -175,17 +174,8 @@ class InstantThermal(FieldMethod):
     near_percentile: Annotated[float, Field(ge=0, le=100)]  # of the depths of a view's points: it shows nothing nearer
 
     def place_in(self, region: Region, points: np.ndarray, cameras: Sequence[Camera]) -> None:
-        """Take the authors' unit of length, the largest distance of a camera from the cameras' mean, as the radius.
-
-        Cells stay empty that are outside of the points' box, or that no camera shows (`mark_untrained_grid`).
-        """
-        centres = np.stack([camera.center for camera in cameras])
-        middle = centres.mean(axis=0)
-        unit = float(np.linalg.norm(centres - middle, axis=1).max())
-        if unit > ONE_PLACE * region.radius:  # else cameras only turn
-            x, y, z = middle.tolist()
-            region = region._replace(center=(x, y, z), radius=unit)
-        largest = self.bound * region.radius
+        """Leave cells empty that are outside of the points' box, or that no camera shows (`mark_untrained_grid`)."""
+        middle, largest = np.array(region.center), self.bound * region.radius
         box = np.stack([points.min(axis=0), points.max(axis=0)]).clip(middle - largest, middle + largest)
         nears = []
         for camera in cameras:

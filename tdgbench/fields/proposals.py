@@ -54,7 +54,7 @@ class Sampler(nn.Module):
         generator: of jitter; None: none. annealing: exponent of the proposals' weights (`annealed`). learns: whether
         gradients will flow to the proposals.
         """
-        spacing, proposed = DisparitySpacing(region.near, region.far, region.radius), []
+        spacing, proposed = spacing_of(region), []
         places = stratified_edges(len(rays.origins), self.counts[0], generator).to(rays.origins)
         for proposal, count in zip(self.proposals, self.counts[1:], strict=True):
             with torch.set_grad_enabled(learns and torch.is_grad_enabled()):
@@ -63,6 +63,11 @@ class Sampler(nn.Module):
             proposed.append((places, weights))
             places = resampled_edges(places, weights.detach() ** annealing, count, generator)
         return samples_at(places, rays, region, spacing), proposed
+
+
+def spacing_of(region: Region) -> DisparitySpacing:
+    """Return the spacing of the rays of a region, whose unit is its radius."""
+    return DisparitySpacing(region.near, region.far, region.radius)
 
 
 def samples_at(places: Tensor, rays: Rays, region: Region, spacing: Spacing) -> Samples:

@@ -23,8 +23,12 @@ class Spacing:
 
     def depths(self, places: Tensor) -> Tensor:
         """Return the depths of places, any shape."""
-        first, last = (self.place_of(depth / self.unit) for depth in (self.near, self.far))
-        return self.unit * self.depth_at(first + (last - first) * places)
+        return self.unit * self.depth_at(self.place_of(self.near / self.unit) + self.extent * places)
+
+    @property
+    def extent(self) -> float:
+        """The distance from `near` to `far` on the spacing's own axis."""
+        return self.place_of(self.far / self.unit) - self.place_of(self.near / self.unit)
 
     def place_of(self, depth: float) -> float:
         """Return the place of a depth in units, on an axis of the spacing's own."""

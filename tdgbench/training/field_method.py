@@ -41,12 +41,12 @@ class PlacedField(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.register_buffer("region_numbers", torch.zeros(6, dtype=torch.float64))
+        self.register_buffer("region_numbers", torch.zeros(7, dtype=torch.float64))
 
     @property
     def region(self) -> Region:
-        x, y, z, radius, near, far = self.region_numbers.tolist()
-        return Region((x, y, z), radius, near, far)
+        x, y, z, radius, near, far, is_cube = self.region_numbers.tolist()
+        return Region((x, y, z), radius, near, far, bool(is_cube))
 
     @region.setter
     def region(self, region: Region) -> None:
@@ -70,6 +70,7 @@ class FieldMethod(Method):
     keeps_full_resolution = True
     pixels_of_check = 1024  # an image takes as long as some ten steps
     rays_at_once: int = 4096  # of an image, which are rendered together
+    region_is_cube = False
 
     field: Any  # a PlacedField
     size: FieldSize
@@ -103,7 +104,7 @@ class FieldMethod(Method):
         """Find the field's region, unless it is known: not in the set-up, which stored cells have without points."""
         if not self.field.is_placed:
             poses = np.stack([camera.world_to_camera for camera in self._cameras])
-            self.place_in(region_of(self._points, poses), self._points, self._cameras)
+            self.place_in(region_of(self._points, poses, self.region_is_cube), self._points, self._cameras)
 
     def place_in(self, region: Region, points: np.ndarray, cameras: Sequence[Camera]) -> None:
         """Place the field, given the region of the scene, with its points (N, 3) and training cameras."""

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from tdgbench.fields.contraction import Region, region_of
 
 REGION = Region((1.0, -2.0, 0.5), 3.0, 0.5, 20.0)
+CUBE = REGION._replace(is_cube=True)
 
 
 def anywhere(count: int = 2000) -> torch.Tensor:
@@ -15,32 +17,55 @@ def anywhere(count: int = 2000) -> torch.Tensor:
     return far * torch.randn(count, 3, generator=stream, dtype=torch.float64)
 
 
-def test_it_is_invertible_and_in_range():
+def length(x: torch.Tensor, region: Region) -> torch.Tensor:
+    return x.abs().amax(dim=1) if region is CUBE else x.square().sum(dim=1).sqrt()
+
+
+@pytest.mark.parametrize("region", [REGION, CUBE])
+def test_it_is_invertible_and_in_range(region):
     at = anywhere()
-    contracted = REGION.contracted(at)
+    contracted = region.contracted(at)
     assert contracted.min() >= 0 and contracted.max() < 1
-    back = REGION.expanded(contracted)
-    error = (back - at).norm(dim=1) / (at - at.new_tensor(REGION.center)).norm(dim=1).clamp_min(1)
+    back = region.expanded(contracted)
+    error = (back - at).norm(dim=1) / (at - at.new_tensor(region.center)).norm(dim=1).clamp_min(1)
     assert error.max() < 1e-4
 
 
-def test_the_ball_keeps_its_shape_and_infinity_is_on_a_sphere():
+@pytest.mark.parametrize("region", [REGION, CUBE])
+def test_the_middle_keeps_its_shape_and_infinity_is_on_a_sphere_or_cube(region):
     inside = anywhere()
-    inside = inside[(inside - inside.new_tensor(REGION.center)).norm(dim=1) < REGION.radius]
-    expected = 0.5 + (inside - inside.new_tensor(REGION.center)) / (4 * REGION.radius)
-    assert len(inside) > 100 and torch.allclose(REGION.contracted(inside), expected)
+    inside = inside[length(inside - inside.new_tensor(region.center), region) < region.radius]
+    expected = 0.5 + (inside - inside.new_tensor(region.center)) / (4 * region.radius)
+    assert len(inside) > 100 and torch.allclose(region.contracted(inside), expected)
     far = 1e9 * torch.nn.functional.normalize(anywhere(), dim=1)
-    assert torch.allclose((REGION.contracted(far) - 0.5).norm(dim=1), torch.tensor(0.5, dtype=torch.float64), atol=1e-6)
+    at_infinity = length(region.contracted(far) - 0.5, region)
+    assert torch.allclose(at_infinity, torch.tensor(0.5, dtype=torch.float64), atol=1e-6)
 
 
-def test_it_is_continuous_with_its_slope_at_the_ball():
-    direction = torch.nn.functional.normalize(torch.tensor([[1.0, 2.0, -1.0]], dtype=torch.float64), dim=1)
-    radii = torch.tensor([[1 - 1e-6], [1.0], [1 + 1e-6]], dtype=torch.float64) * REGION.radius
-    steps = REGION.contracted(direction.new_tensor(REGION.center) + radii * direction).diff(dim=0).norm(dim=1)
+@pytest.mark.parametrize("region", [REGION, CUBE])
+def test_it_is_continuous_with_its_slope_where_contraction_begins(region):
+    direction = torch.tensor([[1.0, 2.0, -1.0]], dtype=torch.float64)
+    direction = direction / length(direction, region)
+    radii = torch.tensor([[1 - 1e-6], [1.0], [1 + 1e-6]], dtype=torch.float64) * region.radius
+    steps = region.contracted(direction.new_tensor(region.center) + radii * direction).diff(dim=0).norm(dim=1)
     assert torch.allclose(steps[0], steps[1], rtol=1e-4)
 
 
-def test_a_region_follows_points_and_cameras_and_not_outliers():
+@pytest.mark.parametrize("is_cube", [False, True])
+def test_a_region_is_that_of_the_cameras(is_cube):
+    """The farthest camera is a unit from their mean: its distance, or its largest coordinate."""
+    rng = np.random.default_rng(1)
+    centres, poses = rng.uniform(-2, 3, (7, 3)), np.tile(np.eye(4), (7, 1, 1))
+    poses[:, :3, :3] = Rotation.random(7, random_state=2).as_matrix()
+    poses[:, :3, 3] = -np.einsum("vij,vj->vi", poses[:, :3, :3], centres)
+    region = region_of(rng.uniform(-9, 9, (100, 3)), poses, is_cube)
+    away = centres - centres.mean(axis=0)
+    largest = np.abs(away).max() if is_cube else np.sqrt(np.square(away).sum(axis=1)).max()
+    assert np.allclose(region.center, centres.mean(axis=0)) and region.radius == pytest.approx(largest)
+    assert region.is_cube == is_cube
+
+
+def test_where_cameras_only_turn_a_region_follows_points_and_not_outliers():
     points = np.random.default_rng(0).uniform(-1, 1, (1000, 3))
     camera = np.eye(4)
     camera[2, 3] = 5.0  # points have z of 4 to 6

@@ -10,7 +10,7 @@ import torch
 from scipy.stats import norm
 
 from methods.aligned_depth import deviation, metric_depths
-from methods.depth_prior_nerf import depth_loss, depth_moments
+from methods.depth_prior_nerf import depth_loss, depth_moments, local_range
 from tdgbench.priors import DepthPrior
 from tdgbench.training.loop import train
 from tests.helpers.training import ready_to_train
@@ -102,3 +102,18 @@ def test_batches_bring_depth_and_deviation_in_world_units(small_gray_scene):
     known = depth > 0
     assert known.float().mean() > 0.5 and 0.5 * near < depth[known].median() < far
     assert torch.all(spread[known] >= 0.0099 * depth[known])
+
+
+def test_at_edges_the_deviation_is_the_range_of_neighbours(small_gray_scene):
+    """Against a loop over windows; unknown pixels have no range, and count in none."""
+    depth = np.random.default_rng(0).uniform(1, 2, (9, 7)).astype(np.float32)
+    depth[2:5, 3], depth[8, 6] = 0, 0
+    for row, column in np.ndindex(depth.shape):
+        window = depth[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        expected = np.ptp(window[window > 0]) if depth[row, column] > 0 else 0
+        assert local_range(depth)[row, column] == expected
+    trainer = ready_to_train(small_gray_scene, NAME, 3, *SIZE)
+    prior = trainer.method.maps(trainer.context)["prior"](small_gray_scene.train[0])
+    depth, spread = prior.numpy()[..., 0], prior.numpy()[..., 1]
+    at_edges = local_range(depth) > np.median(spread)
+    assert 0.02 < at_edges.mean() < 0.5 and np.all(spread[at_edges] >= local_range(depth)[at_edges])

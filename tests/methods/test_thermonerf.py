@@ -37,7 +37,7 @@ def folder(tmp_path_factory, data_root):
     return results / "single/cells/thermonerf/synthetic/turntable/colmap/seed0"
 
 
-def test_it_learns_both_images_and_the_depth(small_gray_scene):
+def test_it_learns_both_images_and_has_a_depth(small_gray_scene):
     trainer = ready_to_train(small_gray_scene, "thermonerf", 150, *SIZE)
     log = train(trainer)
     first, last = log.lines[0].terms, log.lines[-1].terms
@@ -49,7 +49,7 @@ def test_it_learns_both_images_and_the_depth(small_gray_scene):
     assert method.render(frame, "rgb").image.shape == view.rgb.shape
     region = method.field.region
     depth = render.expected_depth
-    assert depth.min() >= region.near and depth.max() <= region.far * (1 + 1e-5) and depth.std() > 0.1 * region.near
+    assert depth.min() >= region.near and depth.max() <= region.far * (1 + 1e-5) and depth.std() > 0.03 * region.near
 
 
 def test_equal_seeds_give_equal_bytes_and_others_do_not(small_gray_scene):
@@ -69,6 +69,38 @@ def test_without_rgb_no_rgb_image_is_read(small_gray_scene):
         vars(view).pop("rgb", None)
     trainer = ready_to_train(scene, "thermonerf_thermal", 3, *SIZE)
     assert train(trainer).lines[-1].terms.keys() == {"thermal", "distortion"}
+
+
+def test_the_unit_and_the_distortion_are_nerfactos(small_gray_scene):
+    """A camera's largest coordinate is 1; distances are shares of the axis from 0.05 to 1 000, by double sum."""
+    trainer = ready_to_train(small_gray_scene, "thermonerf_thermal", 30, *SIZE)
+    method, centres = trainer.method, np.stack([view.camera.center for view in small_gray_scene.train])
+    method.place()
+    region = method.field.region
+    assert region.radius == pytest.approx(np.abs(centres - centres.mean(axis=0)).max()) and region.is_cube
+    shown, forward = [], method.field.forward
+
+    def noted(*args, **options):
+        shown.append(forward(*args, **options))
+        return shown[-1]
+
+    method.field.forward = noted
+    loss = method.step(1).terms["distortion"].item()
+    samples, weights = shown[0].samples, shown[0].weights.detach().double().numpy()
+    x = samples_edges(samples.places, region) / region.radius
+    s = np.where(x < 1, x / 2, 1 - 1 / (2 * x)) / (1 - 1 / 2000 - 0.05 / 2)
+    middles, lengths = (s[:, 1:] + s[:, :-1]) / 2, np.diff(s)
+    pairs = weights[:, :, None] * weights[:, None] * np.abs(middles[:, :, None] - middles[:, None])
+    expected = (pairs.sum(axis=(1, 2)) + (weights**2 * lengths).sum(axis=1) / 3).mean()
+    assert loss == pytest.approx(expected, rel=1e-4) and loss > 0
+
+
+def samples_edges(places: torch.Tensor, region) -> np.ndarray:
+    """Depths of edges in [0, 1], by search on nerfacto's axis."""
+    depths = np.linspace(region.near, region.far, 200_001)
+    x = depths / region.radius
+    axis = np.where(x < 1, x / 2, 1 - 1 / (2 * x))
+    return np.interp(places.double().numpy(), (axis - axis[0]) / (axis[-1] - axis[0]), depths)
 
 
 def test_proposals_learn_as_often_as_in_nerfstudio():
