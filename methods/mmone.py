@@ -18,7 +18,7 @@ from pydantic import Field, NonNegativeFloat
 from torch import Tensor
 
 from methods.ommg import OMMG, SH_RGB
-from tdgbench.scenes import Camera
+from tdgbench.scenes import Camera, Scene
 from tdgbench.splats import Gaussians
 from tdgbench.splats.density import (
     DensityChange,
@@ -164,6 +164,9 @@ class MMOne(OMMG):
     off_opacity: Opacity
     active_opacity: Opacity
     kept_opacity: Opacity
+
+    def rendered_channels(self, scene: Scene) -> set[int]:
+        return {scene.channels, 3}  # one image after the other
 
     def setup(self, context: Context) -> None:
         rules, points = context.budget.density, context.points

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from methods.gaussian_splatting import GaussianSplatting
-from tdgbench.scenes import View
+from tdgbench.scenes import Scene, View
 from tdgbench.splats.gaussians import RenderedFields
 from tdgbench.splats.initialize import gaussians_from_points
 from tdgbench.splats.view import Render
@@ -33,6 +33,9 @@ class OMMG(GaussianSplatting):
     renders_plain_gaussians = False
     keeps_all_points = True
     can_learn_rig = False  # one camera shows both images
+
+    def rendered_channels(self, scene: Scene) -> set[int]:
+        return super().rendered_channels(scene) | {scene.channels + 3}  # both images in one pass
 
     def setup(self, context: Context) -> None:
         points, degree = context.points, context.budget.sh_degree

@@ -85,9 +85,12 @@ class Method:
 
     def compile_kernels(self, scene: Scene, budget: Budget, backend: str) -> None:
         """Compile what the steps call, before the clock of the training starts; by default the kernels of Gaussians."""
-        channels = {MODALITIES[modality].channels(scene) for modality in self.modalities}
         masked = any(view.valid is not None for view in scene.train)
-        compile_kernels(channels, budget, backend, depth=self.needs_prior, masked=masked)
+        compile_kernels(self.rendered_channels(scene), budget, backend, depth=self.needs_prior, masked=masked)
+
+    def rendered_channels(self, scene: Scene) -> set[int]:
+        """Return the numbers of channels of what is rendered; by default those of the modalities' images."""
+        return {MODALITIES[modality].channels(scene) for modality in self.modalities}
 
     def setup(self, context: Context) -> None:
         """Make the parts; called once, before the first step."""

@@ -18,6 +18,7 @@ from tdgbench.cells.record import read_all, read_each
 from tdgbench.training.loop import train
 from tdgbench.training.part import Network
 from tdgbench.training.skips import NO_GAUSSIANS
+from tdgbench.training.splat_model import SplatModel
 from tdgbench.training.trainer import Trainer
 from tdgbench.verify.cell import verify_cell
 from tests.helpers.cells import run_quietly
@@ -77,12 +78,27 @@ def configured(tmp_path, monkeypatch, data_root):
         page.forget_modules()
 
 
+@pytest.fixture
+def channels(monkeypatch) -> set[int]:
+    """Note how many channels the renders of Gaussians have."""
+    found, render = set[int](), SplatModel.render
+
+    def noted(model, *args, **options):
+        result = render(model, *args, **options)
+        found.add(result.image.shape[2])
+        return result
+
+    monkeypatch.setattr(SplatModel, "render", noted)
+    return found
+
+
 @pytest.mark.parametrize("name", [*SHIPPED, *WORKED, *OPTIONS])
-def test_a_killed_training_resumes_to_the_same_bytes(configured, small_gray_scene, tmp_path, name):
-    """And a trainer that is let go leaves nothing."""
+def test_a_killed_training_resumes_to_the_same_bytes(configured, small_gray_scene, tmp_path, name, channels):
+    """A trainer that is let go leaves nothing. All that is rendered has kernels that are compiled before the clock."""
     cfg = configured(name)
     calm = set_up(cfg, small_gray_scene, compiles=False).trainer
     log = train(calm)
+    assert channels <= calm.method.rendered_channels(small_gray_scene)
     assert log.ended and log.iterations == ITERATIONS
     trainer, again = train_killed(
         lambda: set_up(cfg, small_gray_scene, compiles=False).trainer, tmp_path / "a.pt", KILLED_AFTER
