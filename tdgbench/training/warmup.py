@@ -51,7 +51,7 @@ def _take_steps(channels: set[int], budget: Budget, backend: str, depth: bool, m
     camera = Camera(K, pose, _SIZE, _SIZE)
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (8, 3))
     for count in sorted(channels):
-        start = gaussians_from_points(points, np.full((8, 3), 0.5), count, budget.sh_degree)
+        start = gaussians_from_points(points, np.full((8, max(count, 3)), 0.5), count, budget.sh_degree)
         start = start.map(lambda tensor: tensor.to(training_device(backend)))
         model = SplatModel(start, budget, 1.0, backend, torch.Generator().manual_seed(0))
         for iteration, views in enumerate((1, 2, 1), start=1):  # gradients of two take other kernels than those of one
