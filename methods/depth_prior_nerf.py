@@ -32,15 +32,19 @@ from tdgbench.training.rays import RayBatch
 class DepthPriorNeRF(ThermoNeRF):
     """L = L_ThermoNeRF + λ_depth L_depth."""
 
-    needs_prior = True
-
     lambda_depth: NonNegativeFloat
     added_variance: NonNegativeFloat  # of a ray's depth, squared radii of the region
     least_variance: PositiveFloat  # in the loss, likewise
     least_deviation: PositiveFloat  # of the prior, share of its depth
     occlusion: NonNegativeFloat | None  # see `metric_depths`
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.needs_prior = self.lambda_depth > 0
+
     def maps(self, context: Context) -> dict[str, Callable[[View], Tensor]]:
+        if not self.needs_prior:
+            return {}
         scene, depths, deviations = context.scene, dict[str, DepthPrior](), dict[str, float]()
         if context.priors:  # where a stored cell is rendered again, there are none
             depths = metric_depths(scene, context.priors, self.occlusion)
@@ -58,6 +62,8 @@ class DepthPriorNeRF(ThermoNeRF):
         return {"prior": prior_of}
 
     def further_losses(self, batch: RayBatch, shown: Sampled) -> dict[str, Tensor]:
+        if not self.needs_prior:
+            return {}
         prior, unit = batch.pixels["prior"], self.field.region.radius
         mean, variance = depth_moments(shown.weights, shown.samples.depths / unit)
         depth, spread = (prior / unit).unbind(dim=1)

@@ -39,8 +39,6 @@ FIRST_LOSS = 100.0  # line 58
 class DepthRegularised(Method):
     """L = (1 − λ_ssim) L1 + λ_ssim (1 − SSIM) + λ_depth mean |D_prior − D| + λ_smooth mean (D̄ − D)²."""
 
-    needs_prior = True
-
     lambda_ssim: Share
     lambda_depth: NonNegativeFloat
     lambda_smooth: NonNegativeFloat
@@ -52,13 +50,17 @@ class DepthRegularised(Method):
     stop_every: PositiveInt  # one multiple of this to the next; None: it does not
     occlusion: NonNegativeFloat | None  # see `metric_depths`
 
+    def __post_init__(self) -> None:
+        self.needs_prior = self.lambda_depth > 0
+
     def setup(self, context: Context) -> None:
         budget = context.budget
         degree = min(budget.sh_degree, self.sh_degree)
         self.model = context.gaussians(budget=replace(budget, sh_degree=degree, density=self._density(budget.density)))
         self.views = context.views()
-        if context.priors:  # there are none where a training is looked at from outside
-            self.targets = Targets(metric_depths(context.scene, context.priors, self.occlusion), context.device)
+        priors = context.priors  # there are none where a training is looked at from outside
+        depths = metric_depths(context.scene, priors, self.occlusion) if priors else {}
+        self.targets = Targets(depths, context.device)
         self.rise = None
         if self.stop_after is not None:
             self.rise = context.add_part("depth_loss", Rise(self.stop_after, self.stop_every))
@@ -124,6 +126,7 @@ class Targets:
     """Prior, where it is positive, and the image's pixels without edges, by view, in the size of its image."""
 
     def __init__(self, depths: dict[str, DepthPrior], device: torch.device) -> None:
+        """depths: metric priors by view, or none of any."""
         self._depths, self._device = depths, device
         self._of: dict[str, tuple[Tensor, Tensor, Tensor]] = {}
 
@@ -131,7 +134,7 @@ class Targets:
         """Return depth (H, W), world units, 0 where unknown; where it is known, and no edges, bool (H, W)."""
         size = (view.camera.height, view.camera.width)
         if view.name not in self._of or self._of[view.name][0].shape != size:
-            values = self._depths[view.name].of_view(view).values
+            values = self._depths[view.name].of_view(view).values if self._depths else np.zeros(size, np.float32)
             known = np.isfinite(values) & (values > 0)
             flat = ~canny((view.thermal * 255).astype(np.uint8), *EDGES)
             arrays = (np.where(known, values, np.float32(0)), known, flat)

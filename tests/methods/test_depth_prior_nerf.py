@@ -13,7 +13,7 @@ from methods.aligned_depth import deviation, metric_depths
 from methods.depth_prior_nerf import depth_loss, depth_moments, local_range
 from tdgbench.priors import DepthPrior
 from tdgbench.training.loop import train
-from tests.helpers.training import ready_to_train
+from tests.helpers.training import digest_of_all, ready_to_train
 
 NAME, OPTION = "depth_prior_nerf", "method.method."
 SIZE = ("budget.field.rays=256", "budget.field.samples=[16,16]", "budget.field.log2_rows=12")
@@ -92,6 +92,17 @@ def test_a_prior_improves_the_depth(small_gray_scene):
     (with_prior, log), (without, _) = trained(0.004), trained(0.0)
     assert depth_error(with_prior) < 0.7 * depth_error(without)
     assert log.lines[-1].terms["depth"] < log.lines[0].terms["depth"]
+
+
+def test_a_depth_loss_without_weight_takes_no_prior(small_gray_scene):
+    """It runs where none is to be had, and is ThermoNeRF's thermal field."""
+    digests = set()
+    for name, options in (NAME, [f"{OPTION}lambda_depth=0"]), ("thermonerf_thermal", []):
+        trainer = ready_to_train(small_gray_scene, name, 5, *SIZE, *options)
+        assert not trainer.method.needs_prior and not trainer.context.priors
+        train(trainer)
+        digests.add(digest_of_all(trainer))
+    assert len(digests) == 1 and ready_to_train(small_gray_scene, NAME, 5, *SIZE).method.needs_prior
 
 
 def test_batches_bring_depth_and_deviation_in_world_units(small_gray_scene):

@@ -127,3 +127,12 @@ def test_a_prior_is_not_known_where_the_view_is_masked(small_gray_scene):
     valid[:9] = False
     targets = Targets({view.name: DepthPrior(np.ones(valid.shape, np.float32), "metric")}, torch.device("cpu"))
     assert np.array_equal(targets.for_view(replace(view, load_valid=lambda: valid))[1].numpy(), valid)
+
+
+def test_a_depth_loss_without_weight_takes_no_prior(small_gray_scene):
+    """It runs where none is to be had, and no table names one; its smoothness stays."""
+    trainer = ready_to_train(small_gray_scene, NAME, 30, f"{OPTION}lambda_depth=0")
+    assert not trainer.method.needs_prior and not trainer.context.priors
+    terms = train(trainer).lines[-1].terms
+    assert terms["depth"] == 0 and terms["smooth"] > 0
+    assert ready_to_train(small_gray_scene, NAME, 30).method.needs_prior
