@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 
 def weights_of(densities: Tensor, lengths: Tensor) -> Tensor:
@@ -12,7 +13,7 @@ def weights_of(densities: Tensor, lengths: Tensor) -> Tensor:
     densities: (R, S), per unit of length. lengths: δ (R, S) of the samples' intervals.
     """
     optical = densities * lengths
-    before = torch.cumsum(optical, dim=1) - optical
+    before = functional.pad(torch.cumsum(optical, dim=1)[:, :-1], (1, 0))  # a difference would be NaN behind infinity
     return torch.exp(-before) * -torch.expm1(-optical)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import torch
@@ -12,7 +13,7 @@ from omegaconf import DictConfig
 from tdgbench.bench.options import OptionError
 from tdgbench.bench.signature import Problem
 from tdgbench.experiments.experiment import Experiment
-from tdgbench.experiments.stress import clouds, losses, training
+from tdgbench.experiments.stress import clouds, fields, losses, training
 from tdgbench.experiments.stress.case import Case, run_case
 from tdgbench.files import write_text
 from tdgbench.splats.backends import fast_backends
@@ -22,9 +23,10 @@ from tdgbench.terminal import say
 
 @dataclass(frozen=True)
 class StressOptions:
-    """Options in `cfg.study`. cases: run only cases whose family or name contains this."""
+    """Options in `cfg.study`. cases: run only cases whose family or name contains this. fields: methods by name."""
 
     cases: str | None
+    fields: dict[str, Any]
 
 
 class Stress(Experiment):
@@ -63,7 +65,8 @@ class Stress(Experiment):
 
 def all_cases(cfg: DictConfig) -> list[Case]:
     """Return the whole suite. cfg: configuration of a small cell."""
-    return [*clouds.cases(), *losses.cases(), *training.cases(cfg)]
+    of_fields = [*fields.cases(), *fields.trainings(cfg, cfg.study.fields)]
+    return [*clouds.cases(), *losses.cases(), *training.cases(cfg), *of_fields]
 
 
 def backends_of(case: Case, chosen: str = "auto") -> list[str]:

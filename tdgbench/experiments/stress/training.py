@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +18,8 @@ from tdgbench.scenes import Camera, PointCloud, Scene
 from tdgbench.splats.cpu import pool
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Step
+from tdgbench.training.part import Network
+from tdgbench.training.splat_model import SplatModel
 from tdgbench.training.trainer import Trainer
 
 _FAMILY = "training"
@@ -42,7 +44,7 @@ def cases(cfg: DictConfig) -> list[Case]:
     """Return every case of the families `training` and `determinism`. cfg: of a small training."""
 
     def finite(**given: Any) -> Callable[[str], str]:
-        return lambda backend: _check_finite(*train_small(cfg, backend, **given))
+        return lambda backend: check_finite(*train_small(cfg, backend, **given))
 
     return [
         *(Case(_FAMILY, name, expected, finite(change=change)) for name, expected, change in _scenes()),
@@ -80,11 +82,19 @@ def train_small(
     return trainer, train(trainer)
 
 
+def with_method(cfg: DictConfig, method: DictConfig) -> DictConfig:
+    """Return a configuration with another method."""
+    changed = cfg.copy()
+    changed.method = method
+    return changed
+
+
 def break_step(trainer: Trainer, fault: str) -> None:
     """Put NaN into a training at FAULTY_STEP.
 
-    fault: a parameter of the thermal model's Gaussians (NaN in all of them, so that some are visible), `target` (in one
-    pixel of every training image), or `gradient` (in the gradient of the rendered image; the loss stays finite).
+    fault: a parameter of the thermal model's Gaussians (NaN in all of them, so that some are visible), `network`
+    (all parameters of networks), `target` (in one pixel of every training image), or `gradient` (in the gradient of the
+    rendered image; the loss stays finite).
     """
     stage = trainer.stage
 
@@ -95,6 +105,10 @@ def break_step(trainer: Trainer, fault: str) -> None:
             for view in trainer.context.scene.train:
                 view.thermal = view.thermal.copy()
                 view.thermal[1, 2] = np.nan
+        elif fault == "network":
+            for network in (part for part in trainer.parts.values() if isinstance(part, Network)):
+                for parameter in network.module.parameters():
+                    parameter.detach().fill_(float("nan"))
         elif fault != "gradient":
             getattr(trainer.gaussians["thermal"].gaussians, fault).detach().fill_(float("nan"))
         step = stage.step(iteration)
@@ -110,6 +124,12 @@ def with_points(scene: Scene, points: np.ndarray) -> Scene:
     return replace(scene, points=PointCloud(points.astype(np.float64), np.full((len(points), 3), 0.5, np.float32)))
 
 
+def as_one_point(scene: Scene, count: int = 1) -> Scene:
+    """Return a scene, which has points, with `count` times the first of them."""
+    assert scene.points is not None
+    return with_points(scene, np.repeat(scene.points.points[:1], count, axis=0))
+
+
 def with_cameras_on_a_line(scene: Scene, step: float) -> Scene:
     """Return a scene whose training cameras have the first one's rotation and stand on a line, `step` units apart."""
     first = scene.train[0].camera
@@ -118,6 +138,28 @@ def with_cameras_on_a_line(scene: Scene, step: float) -> Scene:
     return _with_cameras(
         scene, [replace(first, world_to_camera=first.world_to_camera + i * along_x) for i in range(len(scene.train))]
     )
+
+
+def turning(scene: Scene) -> Scene:
+    """Return a scene whose training cameras stand where the first one does, and turn by 3° each about its y axis."""
+    poses = []
+    for number in range(len(scene.train)):
+        sin, cos = np.sin(np.radians(3) * number), np.cos(np.radians(3) * number)
+        turn = np.array([[cos, 0, sin, 0], [0, 1, 0, 0], [-sin, 0, cos, 0], [0, 0, 0, 1]])
+        poses.append(turn @ scene.train[0].camera.world_to_camera)
+    cameras = [replace(view.camera, world_to_camera=pose) for view, pose in zip(scene.train, poses, strict=True)]
+    return _with_cameras(scene, cameras)
+
+
+def scaled(scene: Scene, factor: float) -> Scene:
+    """Return a scene, which has points, times a factor about the origin."""
+    assert scene.points is not None
+    cameras = []
+    for view in scene.train:
+        pose = view.camera.world_to_camera.copy()
+        pose[:3, 3] *= factor
+        cameras.append(replace(view.camera, world_to_camera=pose))
+    return replace(_with_cameras(scene, cameras), points=replace(scene.points, points=factor * scene.points.points))
 
 
 def shifted(scene: Scene, offset: float) -> Scene:
@@ -181,12 +223,20 @@ def _rates(cfg: DictConfig, factor: float) -> dict[str, Any]:
     return {f"rates.{name}": max(float(value) * factor, 1e-30) for name, value in rates.items()}
 
 
-def _check_finite(trainer: Trainer, log: TrainingLog) -> str:
-    for name, model in trainer.gaussians.items():
-        for parameter, tensor in model.gaussians.items():
-            require(bool(torch.isfinite(tensor).all()), f"{name} {parameter} is not finite")
-    counts = ", ".join(f"{len(model)} {name}" for name, model in trainer.gaussians.items())
-    return f"loss {log.lines[0].loss:.3g} to {log.lines[-1].loss:.3g}, {counts} Gaussians"
+def check_finite(trainer: Trainer, log: TrainingLog) -> str:
+    """Return the first and last loss, and sizes.
+
+    Raises UnexpectedError if a part, or the render of a test view, is not finite.
+    """
+    sizes = []
+    for name, part in trainer.all_parts().items():
+        bad = part.not_finite()
+        require(bad is None, f"{name} {bad} is not finite")
+        if isinstance(part, SplatModel):
+            sizes.append(f"{len(part)} {name} Gaussians")
+    frame = trainer.context.frame(trainer.context.scene.test[0])
+    require(bool(torch.isfinite(trainer.method.render(frame).image).all()), "a render is not finite")
+    return ", ".join([f"loss {log.lines[0].loss:.3g} to {log.lines[-1].loss:.3g}", *sizes])
 
 
 def _capped(cfg: DictConfig, backend: str) -> str:
@@ -204,11 +254,19 @@ def check_same_bytes(train: Callable[[], Trainer]) -> str:
         for count in THREADS:
             pool.set_threads(count)
             digest = hashlib.sha256()
-            for model in train().gaussians.values():
-                for _, tensor in model.gaussians.items():
-                    digest.update(tensor.contiguous().numpy().tobytes())
+            for tensor in _parameters(train()):
+                digest.update(tensor.detach().contiguous().numpy().tobytes())
             digests.append(digest.hexdigest()[:12])
     finally:
         pool.set_threads(before)
     require(len(set(digests)) == 1, f"different results: {digests} with {THREADS} threads")
     return f"{len(digests)} times {digests[0]}"
+
+
+def _parameters(trainer: Trainer) -> Iterator[torch.Tensor]:
+    """Yield all parameters of Gaussians and networks."""
+    for part in trainer.all_parts().values():
+        if isinstance(part, SplatModel):
+            yield from (tensor for _, tensor in part.gaussians.items())
+        elif isinstance(part, Network):
+            yield from part.module.parameters()
