@@ -17,7 +17,7 @@ from tdgbench.splats.harmonics import sh_basis
 
 PIECE = 4096  # rows of a batch that stay in the cache from the first layer to the last
 ALIGNED = 8  # columns; matrix products with 15 take three times as long as with 16
-LARGEST_EXPONENT = 15.0  # beyond which the gradient of `truncated_exp` grows no more
+LARGEST_EXPONENT = 15.0  # beyond which, to both sides, the gradient of `truncated_exp` changes no more
 
 
 class MLP(nn.Module):
@@ -124,11 +124,11 @@ class _TruncatedExp(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
         (x,) = ctx.saved_tensors
-        return gradients[0] * x.clamp(max=LARGEST_EXPONENT).exp()
+        return gradients[0] * x.clamp(-LARGEST_EXPONENT, LARGEST_EXPONENT).exp()
 
 
 def truncated_exp(x: Tensor) -> Tensor:
-    """Return exp(x), whose gradient is that of exp(min(x, 15)), as instant-ngp's densities."""
+    """Return exp(x), whose gradient is exp of x clamped to ±15, as densities of torch-ngp and nerfacto."""
     result: Tensor = _TruncatedExp.apply(x)
     return result
 
