@@ -2,8 +2,8 @@
 
 Roessle et al., "Dense Depth Priors for Neural Radiance Fields from Sparse Input Views", take depth and deviation from a
 network that completes sparse depth of RGB images. Here, the prior is that of thermal images, aligned to sparse points
-(`methods.aligned_depth`), and its deviation is that of the view from these points, at edges the range of neighbours.
-The field is ThermoNeRF's.
+(`methods.aligned_depth`), and its deviation is the largest of three: of the view from these points, a share of the
+depth, the range of neighbours. The field is ThermoNeRF's.
 Constants and order: barbararoessle/dense_depth_priors_nerf, commit 7c243d24.
 """
 
@@ -77,9 +77,8 @@ def local_range(depth: np.ndarray) -> np.ndarray:
     depth: (H, W), 0 where unknown; so is the range there.
     """
     known = depth > 0
-    largest = maximum_filter(np.where(known, depth, -np.inf), size=3)
-    smallest = minimum_filter(np.where(known, depth, np.inf), size=3)
-    return np.where(known, largest - smallest, 0.0).astype(np.float32)
+    smallest = minimum_filter(np.where(known, depth, np.float32(np.inf)), size=3)
+    return np.where(known, maximum_filter(depth, size=3) - smallest, np.float32(0))
 
 
 def depth_moments(weights: Tensor, depths: Tensor) -> tuple[Tensor, Tensor]:

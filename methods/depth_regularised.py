@@ -53,16 +53,21 @@ class DepthRegularised(Method):
     def __post_init__(self) -> None:
         self.needs_prior = self.lambda_depth > 0
 
+    @property
+    def loss_takes_depth(self) -> bool:
+        return True
+
     def setup(self, context: Context) -> None:
         budget = context.budget
         degree = min(budget.sh_degree, self.sh_degree)
         self.model = context.gaussians(budget=replace(budget, sh_degree=degree, density=self._density(budget.density)))
         self.views = context.views()
-        priors = context.priors  # there are none where a training is looked at from outside
-        depths = metric_depths(context.scene, priors, self.occlusion) if priors else {}
+        depths = dict[str, DepthPrior]() if self.needs_prior else None
+        if context.priors:  # there are none where a training is looked at from outside
+            depths = metric_depths(context.scene, context.priors, self.occlusion)
         self.targets = Targets(depths, context.device)
         self.rise = None
-        if self.stop_after is not None:
+        if self.needs_prior and self.stop_after is not None:
             self.rise = context.add_part("depth_loss", Rise(self.stop_after, self.stop_every))
 
     def _density(self, rules: DensityRules) -> DensityRules:
@@ -82,12 +87,13 @@ class DepthRegularised(Method):
         terms = {"thermal": loss}
         prior, known, flat = self.targets.for_view(view)
         depth = expected_depth(render)
-        to_prior = self.lambda_depth * prior_loss(depth, prior, known, valid)
-        smooth = depth_smoothness(depth, flat, valid)
-        terms |= {"depth": to_prior, "smooth": smooth}
+        terms["smooth"] = depth_smoothness(depth, flat, valid)
+        if self.needs_prior:
+            terms["depth"] = self.lambda_depth * prior_loss(depth, prior, known, valid)
+            loss = loss + terms["depth"]
         if self.rise is not None:
-            self.rise.note(to_prior.item())
-        return Step(loss + to_prior + self.lambda_smooth * smooth, terms, render, target, valid)
+            self.rise.note(terms["depth"].item())
+        return Step(loss + self.lambda_smooth * terms["smooth"], terms, render, target, valid)
 
 
 @dataclass(frozen=True)
@@ -125,8 +131,8 @@ class Rise(Stopping):
 class Targets:
     """Prior, where it is positive, and the image's pixels without edges, by view, in the size of its image."""
 
-    def __init__(self, depths: dict[str, DepthPrior], device: torch.device) -> None:
-        """depths: metric priors by view, or none of any."""
+    def __init__(self, depths: dict[str, DepthPrior] | None, device: torch.device) -> None:
+        """depths: metric priors by view; None: no prior is known anywhere."""
         self._depths, self._device = depths, device
         self._of: dict[str, tuple[Tensor, Tensor, Tensor]] = {}
 
@@ -134,7 +140,8 @@ class Targets:
         """Return depth (H, W), world units, 0 where unknown; where it is known, and no edges, bool (H, W)."""
         size = (view.camera.height, view.camera.width)
         if view.name not in self._of or self._of[view.name][0].shape != size:
-            values = self._depths[view.name].of_view(view).values if self._depths else np.zeros(size, np.float32)
+            depths = self._depths
+            values = np.zeros(size, np.float32) if depths is None else depths[view.name].of_view(view).values
             known = np.isfinite(values) & (values > 0)
             flat = ~canny((view.thermal * 255).astype(np.uint8), *EDGES)
             arrays = (np.where(known, values, np.float32(0)), known, flat)

@@ -174,7 +174,7 @@ class InstantThermal(FieldMethod):
     near_percentile: Annotated[float, Field(ge=0, le=100)]  # of the depths of a view's points: it shows nothing nearer
 
     def place_in(self, region: Region, points: np.ndarray, cameras: Sequence[Camera]) -> None:
-        """Leave cells empty that are outside of the points' box, or that no camera shows (`mark_untrained_grid`)."""
+        """Also leave cells empty outside of the points' box, or that no camera shows (`mark_untrained_grid`)."""
         middle, largest = np.array(region.center), self.bound * region.radius
         box = np.stack([points.min(axis=0), points.max(axis=0)]).clip(middle - largest, middle + largest)
         nears = []

@@ -39,7 +39,7 @@ from tdgbench.training.method import Share, Step
 from tdgbench.training.part import Network, Part
 from tdgbench.training.rays import RayBatch
 
-NEAR_TO_FAR = DisparitySpacing(0.05, 1000.0, 1.0).extent  # nerfacto's, of which its distortion loss has shares
+NERFACTO_EXTENT = DisparitySpacing(0.05, 1000.0, 1.0).extent  # of its samples, near to far, in its distortion loss
 ALWAYS = 10  # first iterations in which proposals make a step: nerfstudio, ray_samplers.py
 
 
@@ -143,7 +143,7 @@ class ProposalTurns(Part):
 class ThermoNeRF(FieldMethod):
     """L = L_rgb + λ_thermal L_thermal + λ_interlevel L_interlevel + λ_distortion L_distortion, the first two MSEs."""
 
-    region_is_cube = True  # thermal_dataparser.py scales the largest coordinate of a camera to 1
+    region_is_cube = True  # thermal_dataparser.py scales the largest absolute coordinate of a camera to 1
 
     rgb: bool  # whether RGB images are trained on, too
     lambda_thermal: NonNegativeFloat
@@ -199,7 +199,7 @@ class ThermoNeRF(FieldMethod):
         terms = {name: functional.mse_loss(image, batch.pixels[name]) for name, image in shown.images.items()}
         loss = self.lambda_thermal * terms["thermal"] + terms.get("rgb", 0.0)
         if self.lambda_distortion > 0:
-            share = spacing_of(self.field.region).extent / NEAR_TO_FAR
+            share = spacing_of(self.field.region).extent / NERFACTO_EXTENT
             terms["distortion"] = share * distortion_loss(shown.samples.places, shown.weights)
             loss = loss + self.lambda_distortion * terms["distortion"]
         if learns and shown.proposed:

@@ -128,7 +128,7 @@ class _TruncatedExp(torch.autograd.Function):
 
 
 def truncated_exp(x: Tensor) -> Tensor:
-    """Return exp(x), whose gradient is exp of x clamped to ±15, as densities of torch-ngp and nerfacto."""
+    """Return exp(x), whose gradient is exp(clamp(x, −15, 15)), as densities of torch-ngp and nerfacto."""
     result: Tensor = _TruncatedExp.apply(x)
     return result
 

@@ -15,12 +15,14 @@ from tdgbench.splats.view import CameraLike
 def visible_cells(
     cells: int, region: Region, box: np.ndarray, cameras: Sequence[CameraLike], nears: Sequence[float]
 ) -> Tensor:
-    """Return which cells, of as many along an axis, lie in a box and in some view; bool (cells³,), x first.
+    """Return which cells of a ball, of as many along an axis, lie in a box and in some view; bool (cells³,), x first.
 
     box: (2, 3) smallest and largest world coordinates. nears: z before which a camera shows nothing, world units. By
     their centres, with half a cell around the box and a whole one beside an image, as torch-ngp's, and half a cell
     before `near`, since cells are larger here: surfaces lie there.
     """
+    if region.is_cube:
+        raise ValueError("the cells of a cube have other sizes")
     at = torch.arange(cells**3)
     places = torch.stack([at % cells, at // cells % cells, at // cells**2], dim=1)
     contracted = (places + 0.5).double() / cells

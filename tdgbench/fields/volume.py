@@ -13,7 +13,7 @@ def weights_of(densities: Tensor, lengths: Tensor) -> Tensor:
     densities: (R, S), per unit of length. lengths: δ (R, S) of the samples' intervals.
     """
     optical = densities * lengths
-    before = functional.pad(torch.cumsum(optical, dim=1)[:, :-1], (1, 0))  # a difference would be NaN behind infinity
+    before = functional.pad(torch.cumsum(optical, dim=1)[:, :-1], (1, 0))  # a difference is NaN behind infinity
     return torch.exp(-before) * -torch.expm1(-optical)
 
 

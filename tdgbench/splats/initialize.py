@@ -31,7 +31,7 @@ def neighbour_distances(points: np.ndarray) -> np.ndarray:
 def gaussians_from_points(points: np.ndarray, colors: np.ndarray, channels: int, sh_degree: int) -> Gaussians:
     """Return Gaussians (float32) at points (N, 3), world units; colours (N, 3) in [0, 1], of which gray ones are means.
 
-    For more than three channels, they are (N, channels). Raises ValueError without points, or if they are not finite.
+    colors: (N, channels) for more than three channels. Raises ValueError without points, or if they are not finite.
 
     >>> gaussians = gaussians_from_points(np.eye(3), np.full((3, 3), 0.5), channels=1, sh_degree=2)
     >>> tuple(gaussians.sh.shape), round(gaussians.opacities[0].item(), 3), round(gaussians.scales[0, 0].item(), 3)

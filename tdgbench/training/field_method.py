@@ -70,7 +70,7 @@ class FieldMethod(Method):
     keeps_full_resolution = True
     pixels_of_check = 1024  # an image takes as long as some ten steps
     rays_at_once: int = 4096  # of an image, which are rendered together
-    region_is_cube = False
+    region_is_cube = False  # else a ball
 
     field: Any  # a PlacedField
     size: FieldSize

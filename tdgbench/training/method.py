@@ -86,7 +86,12 @@ class Method:
     def compile_kernels(self, scene: Scene, budget: Budget, backend: str) -> None:
         """Compile what the steps call, before the clock of the training starts; by default the kernels of Gaussians."""
         masked = any(view.valid is not None for view in scene.train)
-        compile_kernels(self.rendered_channels(scene), budget, backend, depth=self.needs_prior, masked=masked)
+        compile_kernels(self.rendered_channels(scene), budget, backend, depth=self.loss_takes_depth, masked=masked)
+
+    @property
+    def loss_takes_depth(self) -> bool:
+        """Whether steps need the gradient of rendered depth; by default those of a method with a prior."""
+        return self.needs_prior
 
     def rendered_channels(self, scene: Scene) -> set[int]:
         """Return the numbers of channels of what is rendered; by default those of the modalities' images."""

@@ -42,8 +42,8 @@ def test_the_case_of_opacity_resets_makes_300(data_root):
     assert sum(budget.density.is_reset(i, budget.iterations) for i in range(1, budget.iterations)) == 300
 
 
-def test_there_are_172_cases_with_different_names():
-    assert len(CASES) == len({(case.family, case.name) for case in CASES}) == 172
+def test_there_are_174_cases_with_different_names():
+    assert len(CASES) == len({(case.family, case.name) for case in CASES}) == 174
     families = {"geometry", "appearance", "losses", "training", "determinism", "fields", "training of fields"}
     assert {case.family for case in CASES} == families
 

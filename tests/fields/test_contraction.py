@@ -82,3 +82,18 @@ def test_points_behind_all_cameras_are_an_error():
     camera[2, 3] = -5.0
     with pytest.raises(ValueError, match="no point of the scene lies in front"):
         region_of(np.random.default_rng(0).uniform(-1, 1, (10, 3)), camera[None])
+
+
+def test_cameras_and_points_in_one_place_each_are_an_error():
+    with pytest.raises(ValueError, match="no unit of length"):
+        region_of(np.array([[0.0, 0, 4]] * 3), np.eye(4)[None])
+
+
+def test_cameras_that_almost_only_turn_are_no_unit():
+    """Beyond a thousand units nerfacto sees nothing, and float32 tells few places apart."""
+    points = np.array([0, 0, 5]) + np.random.default_rng(0).uniform(-1, 1, (1000, 3))
+    for step, is_unit in ((1e-2, True), (1e-3, False)):
+        poses = np.tile(np.eye(4), (3, 1, 1))
+        poses[:, 0, 3] = [-step, 0, step]
+        region = region_of(points, poses)
+        assert region.radius == pytest.approx(step) if is_unit else 0.9 < region.radius < 1.3

@@ -79,13 +79,13 @@ def configured(tmp_path, monkeypatch, data_root):
 
 
 @pytest.fixture
-def channels(monkeypatch) -> set[int]:
-    """Note how many channels the renders of Gaussians have."""
-    found, render = set[int](), SplatModel.render
+def rendered(monkeypatch) -> set[tuple[int, bool]]:
+    """Note how many channels the renders of Gaussians have, and whether they have depth with a gradient."""
+    found, render = set[tuple[int, bool]](), SplatModel.render
 
-    def noted(model, *args, **options):
-        result = render(model, *args, **options)
-        found.add(result.image.shape[2])
+    def noted(model, *args, depth=False, **options):
+        result = render(model, *args, depth=depth, **options)
+        found.add((result.image.shape[2], depth and torch.is_grad_enabled()))
         return result
 
     monkeypatch.setattr(SplatModel, "render", noted)
@@ -93,12 +93,13 @@ def channels(monkeypatch) -> set[int]:
 
 
 @pytest.mark.parametrize("name", [*SHIPPED, *WORKED, *OPTIONS])
-def test_a_killed_training_resumes_to_the_same_bytes(configured, small_gray_scene, tmp_path, name, channels):
+def test_a_killed_training_resumes_to_the_same_bytes(configured, small_gray_scene, tmp_path, name, rendered):
     """A trainer that is let go leaves nothing. All that is rendered has kernels that are compiled before the clock."""
     cfg = configured(name)
     calm = set_up(cfg, small_gray_scene, compiles=False).trainer
     log = train(calm)
-    assert channels <= calm.method.rendered_channels(small_gray_scene)
+    assert {count for count, _ in rendered} <= calm.method.rendered_channels(small_gray_scene)
+    assert calm.method.loss_takes_depth or not any(takes_depth for _, takes_depth in rendered)
     assert log.ended and log.iterations == ITERATIONS
     trainer, again = train_killed(
         lambda: set_up(cfg, small_gray_scene, compiles=False).trainer, tmp_path / "a.pt", KILLED_AFTER

@@ -230,7 +230,7 @@ def test_cameras_that_only_turn_are_no_unit_and_a_scene_beyond_the_bound_is_refu
     method.place_in(region, points, turned)
     assert method.field.region == region and (method.field.occupancy.densities >= 0).any()
     for number, pose in enumerate(poses):
-        pose[0, 3] += 1e-3 * number
+        pose[0, 3] += 2e-2 * number
     region = region_of(points, np.stack(poses))
     with pytest.raises(ValueError, match="no training view shows a point within 8 times the cameras' extent"):
         method.place_in(region, points, [replace(camera, world_to_camera=pose) for pose in poses])

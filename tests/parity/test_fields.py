@@ -62,7 +62,8 @@ def test_densities_have_the_same_truncated_gradient(data):
     logarithms = data["exp_at"].clone().requires_grad_()
     densities = truncated_exp(logarithms)
     densities.sum().backward()
-    assert torch.allclose(densities, data["exp"]) and torch.allclose(logarithms.grad, data["exp_gradient"], atol=0)
+    assert torch.allclose(densities, data["exp"], atol=0)
+    assert torch.allclose(logarithms.grad, data["exp_gradient"], atol=0)
 
 
 def test_depth_has_roessles_loss(data):
@@ -75,7 +76,8 @@ def test_depth_has_roessles_loss(data):
     loss = depth_loss(mean, variance + 1e-5, torch.where(data["depth_valid"], prior, 0.0), spread, 1e-3)
     loss.backward()
     assert relative(loss.detach(), data["depth_loss"]) < 1e-9
-    assert relative(weights.grad, data["depth_gradient"] - data["depth_gradient"][:, -1:]) < 1e-6
+    expected = data["depth_gradient"] - data["depth_gradient"][:, -1:]
+    assert max(relative(*ray) for ray in zip(weights.grad, expected, strict=True)) < 1e-6
 
 
 def test_the_same_cells_stay_empty(data):

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 import torch
 from omegaconf import DictConfig
 from torch import Tensor, nn
@@ -76,7 +77,7 @@ def _rendering() -> Named:
     yield "empty space", _of(rendered, 0 * densities, lengths, values)
     yield "a haze of density 1e-20", _of(rendered, 1e-20 * densities, lengths, values)
     yield "a wall of density 1e30", _of(rendered, wall, lengths, values)
-    yield "a wall of infinite density", _of(rendered, endless, lengths, values)
+    yield "a wall of infinite density", _of(lambda d, v: rendered(d, lengths.to(d), v), endless, values)
     yield "an optical depth of 1e5", _of(rendered, 4e3 * densities, lengths, values)
     yield "intervals without length", _of(rendered, densities, 0 * lengths, values)
     yield "one sample of a ray", _of(rendered, densities[:, :1], lengths[:, :1], values[:, :1])
@@ -130,6 +131,8 @@ def _trainings(cfg: DictConfig) -> Iterator[tuple[str, Raises | str, Callable[[s
     yield "collinear cameras", FINITE, partial(trained, change=lambda s: with_cameras_on_a_line(s, 0.2))
     yield "cameras that only turn", FINITE, partial(trained, change=turning)
     yield "a single point", FINITE, partial(trained, change=as_one_point)
+    nowhere = Raises("ValueError", "no unit of length")
+    yield "cameras that only turn, a single point", nowhere, partial(trained, change=lambda s: as_one_point(turning(s)))
     yield "duplicate points", FINITE, partial(trained, change=partial(as_one_point, count=50))
     yield "collinear points", FINITE, partial(trained, change=lambda s: with_points(s, line))
     yield "a single ray", FINITE, partial(trained, budget={"field.rays": 1})
@@ -179,16 +182,16 @@ def _against_float64(made: Made, _backend: str) -> str:
         gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in leaves]
         results.append((values.detach(), gradients))
     (exact, exact_gradients), (got, gradients) = results
-    of_gradients = max(map(_relative, gradients, exact_gradients))
-    return require_close(BackendErrors(_relative(got, exact), of_gradients), _TOLERANCES)
+    of_gradients = np.max([_relative(*pair) for pair in zip(gradients, exact_gradients, strict=True)])  # NaN if one is
+    return require_close(BackendErrors(_relative(got, exact), float(of_gradients)), _TOLERANCES)
 
 
 def _relative(got: Tensor, exact: Tensor) -> float:
-    """Return the largest error, as a share of the largest exact value unless that is almost 0."""
+    """Return the largest error, as a share of the largest exact value unless that is almost 0; NaN if a value is."""
     if not exact.numel():
         return 0.0
     largest = exact.abs().max().item()
-    return (got.double() - exact).abs().max().item() / (largest if largest > _NOTHING else 1.0)
+    return (got.double() - exact).abs().max().item() / (1.0 if largest <= _NOTHING else largest)
 
 
 def _nan_position(_backend: str) -> str:
