@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from torch import Tensor
 
 FARTHEST_UNITS = 1000.0  # the far plane of nerfacto: cameras that see farther all stand, almost, in one place
@@ -41,7 +40,8 @@ class Region(NamedTuple):
         return x / (length * (2 - length)) * self.radius + x.new_tensor(self.center)
 
     def _length(self, x: Tensor) -> Tensor:
-        return x.norm(p=torch.inf if self.is_cube else 2, dim=-1, keepdim=True).clamp_min(1.0)
+        length = x.abs().amax(dim=-1, keepdim=True) if self.is_cube else x.norm(dim=-1, keepdim=True)
+        return length.clamp_min(1.0)
 
 
 def region_of(points: np.ndarray, world_to_camera: np.ndarray, is_cube: bool = False) -> Region:
