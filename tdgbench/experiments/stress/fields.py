@@ -61,7 +61,7 @@ def _modules() -> Named:
         yield name, _module(lambda: HashGrid(4, 3, 64, 10, _stream(1)), positions)
     for name, rows in (
         *((f"{rows} rows through a network", _noise(2, rows, 15)) for rows in (0, 1, 4095, 4097)),
-        ("inputs of a network of 1e6", 1e6 * _noise(3, 100, 15)), ("inputs of a network of 1e-20", 1e-20 * _noise(3, 100, 15)),
+        *((f"inputs of a network of {size:g}", size * _noise(3, 100, 15)) for size in (1e6, 1e-20)),
     ):  # fmt: skip
         yield name, _module(lambda: MLP((15, 32, 4), _stream(4)), rows)
 
