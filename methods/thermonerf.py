@@ -28,7 +28,7 @@ from tdgbench.fields import (
     encoded_directions,
     proposal_loss,
 )
-from tdgbench.fields.proposals import Proposed, Samples, spacing_of
+from tdgbench.fields.proposals import Proposed, Samples
 from tdgbench.fields.sampling import DisparitySpacing
 from tdgbench.fields.volume import composited
 from tdgbench.scenes import View
@@ -199,7 +199,7 @@ class ThermoNeRF(FieldMethod):
         terms = {name: functional.mse_loss(image, batch.pixels[name]) for name, image in shown.images.items()}
         loss = self.lambda_thermal * terms["thermal"] + terms.get("rgb", 0.0)
         if self.lambda_distortion > 0:
-            share = spacing_of(self.field.region).extent / NERFACTO_EXTENT
+            share = shown.samples.extent / NERFACTO_EXTENT
             terms["distortion"] = share * distortion_loss(shown.samples.places, shown.weights)
             loss = loss + self.lambda_distortion * terms["distortion"]
         if learns and shown.proposed:

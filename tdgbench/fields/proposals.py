@@ -24,6 +24,7 @@ class Samples(NamedTuple):
     lengths: Tensor  # (R, S) of the intervals, in radii of the region
     depths: Tensor  # (R, S) of the middles
     contracted: Tensor  # (R · S, 3) positions of the middles in the region
+    extent: float  # of the spacing, see `Spacing`
 
     def weights(self, densities: Tensor) -> Tensor:
         """Return the weights (R, S) of densities (R · S,)."""
@@ -54,7 +55,7 @@ class Sampler(nn.Module):
         generator: of jitter; None: none. annealing: exponent of the proposals' weights (`annealed`). learns: whether
         gradients will flow to the proposals.
         """
-        spacing, proposed = spacing_of(region), []
+        spacing, proposed = DisparitySpacing(region.near, region.far, region.radius), []
         places = stratified_edges(len(rays.origins), self.counts[0], generator).to(rays.origins)
         for proposal, count in zip(self.proposals, self.counts[1:], strict=True):
             with torch.set_grad_enabled(learns and torch.is_grad_enabled()):
@@ -65,17 +66,12 @@ class Sampler(nn.Module):
         return samples_at(places, rays, region, spacing), proposed
 
 
-def spacing_of(region: Region) -> DisparitySpacing:
-    """Return the spacing of the rays of a region, whose unit is its radius."""
-    return DisparitySpacing(region.near, region.far, region.radius)
-
-
 def samples_at(places: Tensor, rays: Rays, region: Region, spacing: Spacing) -> Samples:
     """Return the samples between edges (R, S + 1) in a spacing."""
     edges = spacing.depths(places)
     lengths = edges.diff(dim=1) * (rays.directions.norm(dim=1, keepdim=True) / region.radius)
     depths = (edges[:, 1:] + edges[:, :-1]) / 2
-    return Samples(places, lengths, depths, region.contracted(rays.at(depths).view(-1, 3)))
+    return Samples(places, lengths, depths, region.contracted(rays.at(depths).view(-1, 3)), spacing.extent)
 
 
 def annealed(share: float) -> float:

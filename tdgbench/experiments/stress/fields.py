@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -18,13 +17,12 @@ from tdgbench.experiments.stress.case import Case, Raises, close, require, requi
 from tdgbench.experiments.stress.training import (
     FAULTY_STEP,
     FINITE,
-    as_one_point,
     check_finite,
     check_same_bytes,
     scaled,
+    scenes,
     train_small,
     turning,
-    with_cameras_on_a_line,
     with_method,
     with_points,
 )
@@ -96,12 +94,7 @@ def _sampling() -> Named:
         ("without weight", torch.zeros(_RAYS, 8), few), ("of one interval", _noise(11, _RAYS, 1), few[:, [0, -1]]),
     ):  # fmt: skip
         yield f"a proposal {name}", _of(lambda p, at=at: interlevel_loss(edges.to(p), thin.to(p), at.to(p), p), weights)
-    for name, weights in (
-        ("0", 0 * thin),
-        ("1e-30", 1e-30 * thin),
-        ("1e30", 1e30 * thin),
-        ("one place", _one_sample()),
-    ):
+    for name, weights in (*((f"{size:g}", size * thin) for size in (0, 1e-30, 1e30)), ("one place", _one_sample())):
         yield f"samples by weights of {name}", _of(lambda w: resampled_edges(edges.to(w), w, 64, None), weights)
     for kind in (DisparitySpacing, SteadySpacing):
         for near, far in ((1e-3, 1e2), (1e-6, 1e3), (2.0, 2.0)):
@@ -126,15 +119,13 @@ def _trainings(cfg: DictConfig) -> Iterator[tuple[str, Raises | str, Callable[[s
     def trained(_backend: str, **given: Any) -> str:
         return check_finite(*train_small(cfg, "cpu", **given))
 
-    line = torch.linspace(-1, 1, 50)[:, None].numpy() * [1.0, 0, 0]
-    yield "two training views", FINITE, partial(trained, change=lambda s: replace(s, train=s.train[:2]))
-    yield "collinear cameras", FINITE, partial(trained, change=lambda s: with_cameras_on_a_line(s, 0.2))
+    for name, expected, change in scenes():
+        if expected == FINITE:
+            yield name, expected, partial(trained, change=change)
     yield "cameras that only turn", FINITE, partial(trained, change=turning)
-    yield "a single point", FINITE, partial(trained, change=as_one_point)
-    nowhere = Raises("ValueError", "no unit of length")
-    yield "cameras that only turn, a single point", nowhere, partial(trained, change=lambda s: as_one_point(turning(s)))
-    yield "duplicate points", FINITE, partial(trained, change=partial(as_one_point, count=50))
-    yield "collinear points", FINITE, partial(trained, change=lambda s: with_points(s, line))
+    nowhere, origin = Raises("ValueError", "no unit of length"), np.zeros((1, 3))
+    in_one_place = partial(trained, change=lambda s: with_points(turning(s), origin))
+    yield "cameras that only turn, a single point", nowhere, in_one_place
     yield "a single ray", FINITE, partial(trained, budget={"field.rays": 1})
     yield "one sample of each ray", FINITE, partial(trained, budget={"field.samples": [1, 1]})
     yield "a table of 32 rows", FINITE, partial(trained, budget={"field.log2_rows": 5})

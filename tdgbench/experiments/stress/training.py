@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench.setup import set_up
 from tdgbench.experiments.stress.case import Case, Raises, require
-from tdgbench.scenes import Camera, PointCloud, Scene
+from tdgbench.scenes import PointCloud, Scene
 from tdgbench.splats.cpu import pool
 from tdgbench.training.loop import TrainingLog, train
 from tdgbench.training.method import Step
@@ -47,7 +47,7 @@ def cases(cfg: DictConfig) -> list[Case]:
         return lambda backend: check_finite(*train_small(cfg, backend, **given))
 
     return [
-        *(Case(_FAMILY, name, expected, finite(change=change)) for name, expected, change in _scenes()),
+        *(Case(_FAMILY, name, expected, finite(change=change)) for name, expected, change in scenes()),
         *(Case(_FAMILY, name, expected, finite(budget=budget)) for name, expected, budget in _budgets(cfg)),
         Case(_FAMILY, "a cap on Gaussians reached", "it is reached and kept", lambda b: _capped(cfg, b)),
         *(
@@ -124,42 +124,31 @@ def with_points(scene: Scene, points: np.ndarray) -> Scene:
     return replace(scene, points=PointCloud(points.astype(np.float64), np.full((len(points), 3), 0.5, np.float32)))
 
 
-def as_one_point(scene: Scene, count: int = 1) -> Scene:
-    """Return a scene, which has points, with `count` times the first of them."""
-    assert scene.points is not None
-    return with_points(scene, np.repeat(scene.points.points[:1], count, axis=0))
-
-
 def with_cameras_on_a_line(scene: Scene, step: float) -> Scene:
     """Return a scene whose training cameras have the first one's rotation and stand on a line, `step` units apart."""
-    first = scene.train[0].camera
     along_x = np.zeros((4, 4))
     along_x[0, 3] = step
-    return _with_cameras(
-        scene, [replace(first, world_to_camera=first.world_to_camera + i * along_x) for i in range(len(scene.train))]
-    )
+    return _with_poses(scene, lambda i, _: scene.train[0].camera.world_to_camera + i * along_x)
 
 
 def turning(scene: Scene) -> Scene:
     """Return a scene whose training cameras stand where the first one does, and turn by 3° each about its y axis."""
-    poses = []
-    for number in range(len(scene.train)):
-        sin, cos = np.sin(np.radians(3) * number), np.cos(np.radians(3) * number)
+
+    def turned(i: int, _: np.ndarray) -> np.ndarray:
+        sin, cos = np.sin(np.radians(3) * i), np.cos(np.radians(3) * i)
         turn = np.array([[cos, 0, sin, 0], [0, 1, 0, 0], [-sin, 0, cos, 0], [0, 0, 0, 1]])
-        poses.append(turn @ scene.train[0].camera.world_to_camera)
-    cameras = [replace(view.camera, world_to_camera=pose) for view, pose in zip(scene.train, poses, strict=True)]
-    return _with_cameras(scene, cameras)
+        return turn @ scene.train[0].camera.world_to_camera
+
+    return _with_poses(scene, turned)
 
 
 def scaled(scene: Scene, factor: float) -> Scene:
     """Return a scene, which has points, times a factor about the origin."""
     assert scene.points is not None
-    cameras = []
-    for view in scene.train:
-        pose = view.camera.world_to_camera.copy()
-        pose[:3, 3] *= factor
-        cameras.append(replace(view.camera, world_to_camera=pose))
-    return replace(_with_cameras(scene, cameras), points=replace(scene.points, points=factor * scene.points.points))
+    of_shift = np.ones((4, 4))
+    of_shift[:3, 3] = factor
+    points = replace(scene.points, points=factor * scene.points.points)
+    return replace(_with_poses(scene, lambda _, pose: of_shift * pose), points=points)
 
 
 def shifted(scene: Scene, offset: float) -> Scene:
@@ -167,17 +156,21 @@ def shifted(scene: Scene, offset: float) -> Scene:
     assert scene.points is not None
     back = np.eye(4)
     back[:3, 3] = -offset
-    cameras = [replace(view.camera, world_to_camera=view.camera.world_to_camera @ back) for view in scene.train]
-    points = PointCloud(scene.points.points + offset, scene.points.colors)
-    return replace(_with_cameras(scene, cameras), points=points)
+    points = replace(scene.points, points=scene.points.points + offset)
+    return replace(_with_poses(scene, lambda _, pose: pose @ back), points=points)
 
 
-def _with_cameras(scene: Scene, cameras: list[Camera]) -> Scene:
-    views = [replace(view, camera=camera) for view, camera in zip(scene.train, cameras, strict=True)]
+def _with_poses(scene: Scene, change: Callable[[int, np.ndarray], np.ndarray]) -> Scene:
+    """Return a scene with other training cameras. change: number and pose (4, 4), world to camera, to the new pose."""
+    views = []
+    for number, view in enumerate(scene.train):
+        pose = change(number, view.camera.world_to_camera)
+        views.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
     return replace(scene, train=views)
 
 
-def _scenes() -> list[tuple[str, Raises | str, Callable[[Scene], Scene]]]:
+def scenes() -> list[tuple[str, Raises | str, Callable[[Scene], Scene]]]:
+    """Return degenerate scenes: name, what is expected of Gaussians, and how a scene becomes it."""
     line = np.linspace(-1, 1, 50)[:, None] * np.array([[1.0, 0, 0]])
     return [
         ("one training view", ONE_PLACE, lambda s: replace(s, train=s.train[:1])),
@@ -232,8 +225,8 @@ def check_finite(trainer: Trainer, log: TrainingLog) -> str:
     for name, part in trainer.all_parts().items():
         bad = part.not_finite()
         require(bad is None, f"{name} {bad} is not finite")
-        if isinstance(part, SplatModel):
-            sizes.append(f"{len(part)} {name} Gaussians")
+        if part.gaussian_count:
+            sizes.append(f"{part.gaussian_count} {name} Gaussians")
     frame = trainer.context.frame(trainer.context.scene.test[0])
     require(bool(torch.isfinite(trainer.method.render(frame).image).all()), "a render is not finite")
     return ", ".join([f"loss {log.lines[0].loss:.3g} to {log.lines[-1].loss:.3g}", *sizes])
