@@ -194,7 +194,7 @@ def _mean(name: str, scenes: pd.Series, values: pd.Series, has_all: bool = True)
     known = values.notna()
     if not has_all or not known.any():
         return {name: np.nan, f"{name}_half": np.nan}
-    found = gain_interval([("", scene) for scene in scenes[known]], values[known])
+    found = gain_interval([("", scene, nth) for nth, scene in enumerate(scenes[known])], values[known])
     return {name: found.mean, f"{name}_half": found.mean - found.low}
 
 

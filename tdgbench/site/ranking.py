@@ -13,7 +13,7 @@ from tdgbench.cells.key import differences
 from tdgbench.site.packed import SCORES, BoardRow
 from tdgbench.tables.comparisons import EQUAL, FEWEST_SEEDS, best_or_tied, change_over_seeds
 from tdgbench.tables.equal_data import changed_scores
-from tdgbench.tables.likeness import was_disturbed
+from tdgbench.tables.likeness import SELECTED, is_selected, was_disturbed
 from tdgbench.tables.measures import HOURS, measure_of
 from tdgbench.tables.verdicts import BETTER, UNDECIDED, WORSE
 from tdgbench.text import as_typed, named
@@ -98,8 +98,14 @@ def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:
         )
         return [replace(row, unranked=unlike, is_unlike=True) for row in rivals]
     known = [not np.isnan(row.scores[SCORES.index(METRIC)].value) for row in rivals]
-    able = [i for i, row in enumerate(rivals) if known[i] and len(row.by_seed(METRIC)) >= FEWEST_SEEDS]
-    found = [replace(row, unranked=FEW_SEEDS if known[i] else WITHOUT_MEAN) for i, row in enumerate(rivals)]
+    selected = [any(map(is_selected, row.records)) for row in rivals]
+    found = [
+        replace(row, unranked=SELECTED if selected[i] else FEW_SEEDS if known[i] else WITHOUT_MEAN)
+        for i, row in enumerate(rivals)
+    ]
+    able = [
+        i for i, row in enumerate(rivals) if known[i] and not selected[i] and len(row.by_seed(METRIC)) >= FEWEST_SEEDS
+    ]
     if len(able) < 2:
         return found
     numbers = _by_seed(METRIC, [rivals[i] for i in able])

@@ -48,7 +48,14 @@ from tdgbench.tables.comparisons import margins_in_words
 from tdgbench.tables.equal_data import Place, equal_in_words, equal_scenes
 from tdgbench.tables.findings import BEFORE_A_PLATEAU, ended_by_its_budget
 from tdgbench.tables.grids import SCENE_KEYS, TIMES, reasons_for_na
-from tdgbench.tables.likeness import disturbed_notes, machine_in_words, setups, times_at_once
+from tdgbench.tables.likeness import (
+    SELECTED,
+    disturbed_notes,
+    is_selected,
+    machine_in_words,
+    setups,
+    times_at_once,
+)
 from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import AVERAGE, HOURS, as_text, measure_of
 from tdgbench.tables.overrides import filed, training_in_words
@@ -255,6 +262,8 @@ def _caveats(rows: Sequence[BoardRow]) -> list[str]:
                      f"for all methods; the authors' are those of {BUDGET}.")  # fmt: skip
     if all(ended_by_its_budget(record) for row in rows for record in row.records):
         found.append(f"{BEFORE_A_PLATEAU}.")
+    if chosen := dict.fromkeys(row.label for row in rows if any(map(is_selected, row.records))):
+        found.append(f"{joined(chosen)}: {SELECTED}. Not ranked.")
     timed = [row for row in rows if not isnan(row.scores[SCORES.index(HOURS.name)].value)]
     machines = set[tuple[str, ...]]().union(*(row.machines for row in timed))
     if len(machines) > 1:

@@ -46,12 +46,14 @@ def between_papers() -> pd.DataFrame:
 
 
 def with_other_papers(differences: pd.DataFrame) -> pd.DataFrame:
-    """Return the table with others_low, others_high (NaN without another paper's number), and the number of papers."""
-    others = _numbers().query("source != @PAPER").groupby(PLACE)["value"]
-    ranges = others.agg(others_low="min", others_high="max", papers="count").reset_index()
+    """Return the table with others_low, others_high (NaN without another paper's number), why they may be of another
+    method (others_doubt), and the number of papers."""
     if "scene" not in differences:  # the ablation: averages, which other papers take over other scenes
-        return differences.assign(others_low=np.nan, others_high=np.nan, papers=1)
-    merged = differences.merge(ranges, on=PLACE, how="left")
+        return differences.assign(others_low=np.nan, others_high=np.nan, others_doubt="", papers=1)
+    others = _numbers().query("source != @PAPER").groupby(PLACE)
+    ranges = others["value"].agg(others_low="min", others_high="max", papers="count")
+    ranges["others_doubt"] = others["doubt"].agg(lambda doubts: "; ".join(filter(None, dict.fromkeys(doubts))))
+    merged = differences.merge(ranges.reset_index(), on=PLACE, how="left").fillna({"others_doubt": ""})
     merged["papers"] = merged["papers"].fillna(0).astype(int) + 1
     return merged
 
@@ -60,8 +62,9 @@ def against_others(main: pd.DataFrame, records: Sequence[Record], column: Callab
     """Return other papers' numbers of our methods beside ours: source, PLACE, printed_as, selected_on, published, ours,
     std, seeds, image_values (of ours), difference (ours − published), unlike.
 
-    unlike: in what our cells are not of the published setup; where there is anything, the difference is n/a. records:
-    behind the main table; column: of a record's method. Averages are left out: papers average over different scenes.
+    unlike: in what our cells are not of the published setup, or why the number may be of another method; where there is
+    anything, the difference is n/a. records: behind the main table; column: of a record's method. Averages are left
+    out: papers average over different scenes.
     """
     others = published_elsewhere().rename(columns={"value": "published"}).drop(columns="group")
     sources = load_sources()
@@ -70,7 +73,10 @@ def against_others(main: pd.DataFrame, records: Sequence[Record], column: Callab
     merged = others[others["scene"] != AVERAGE].merge(ours, on=PLACE)
     setups = {metric: partial(departures, metric=metric) for metric in dict.fromkeys(merged["metric"])}
     told = with_text_of_cells(merged, records, setups, column)
-    unlike = [told.at[row, metric] for row, metric in merged["metric"].items()]
+    unlike = [
+        "; ".join(filter(None, (doubt, told.at[row, metric])))
+        for row, metric, doubt in zip(merged.index, merged["metric"], _doubts(merged), strict=True)
+    ]
     difference = (merged["ours"] - merged["published"]).where([not text for text in unlike])
     return merged.assign(difference=difference, unlike=unlike)
 
@@ -131,17 +137,24 @@ def _numbers() -> pd.DataFrame:
     """Return source, PLACE, value, printed_as of all papers: scores of single scenes."""
     paper = published_main().assign(source=PAPER)
     table = pd.concat([paper.assign(printed_as=paper["method"]), published_elsewhere()], ignore_index=True)
-    chosen = ~table["scene"].isin((AVERAGE, OVERALL)) & (table["metric"] != HOURS.name)
-    return table.loc[chosen, ["source", *PLACE, "value", "printed_as"]]
+    chosen = table[~table["scene"].isin((AVERAGE, OVERALL)) & (table["metric"] != HOURS.name)]
+    return chosen.assign(doubt=_doubts(chosen))[["source", *PLACE, "value", "printed_as", "doubt"]]
+
+
+def _doubts(numbers: pd.DataFrame) -> list[str]:
+    """Return for each number of a source why it may not be of our method; empty where the source settles it."""
+    sources = load_sources()
+    entries = (
+        (name, printed, sources[name]["methods"].get(printed, {}))
+        for name, printed in zip(numbers["source"], numbers["printed_as"], strict=True)
+    )
+    return [
+        f"{name}, {printed}: {entry['note']}" if entry and not entry["sure"] else "" for name, printed, entry in entries
+    ]
 
 
 def _row(place: tuple[str, ...], group: pd.DataFrame, scenes: int = 1) -> dict[str, object]:
-    sources, places = load_sources(), digits(place[3])
-    notes = []
-    for row in group.itertuples():
-        entry = sources[row.source]["methods"].get(row.printed_as, {})
-        if entry and not entry["sure"]:
-            notes.append(f"{row.source}, {row.printed_as}: {entry['note']}")
+    places, notes = digits(place[3]), filter(None, _doubts(group))
     low, high = float(group["value"].min()), float(group["value"].max())
     values = "; ".join(f"{row.source} {row.value:.{places}f}" for row in group.itertuples())
     return {

@@ -47,7 +47,7 @@ from tdgbench.tables.long_table import (
 from tdgbench.tables.measures import ABLATION, ASKED, AVERAGE, COLUMNS, HOURS, KEYS, OVERALL, further
 from tdgbench.tables.overrides import override_notes
 from tdgbench.tables.palette import IMAGES, with_image_values
-from tdgbench.tables.published import published_ablation, published_main
+from tdgbench.tables.published import published_ablation, published_main, with_papers_averages
 from tdgbench.tables.readings import effects, reading_cells, reading_label, readings
 from tdgbench.tables.results import Results, read_results
 from tdgbench.tables.statistics import intervals, with_seeds
@@ -160,7 +160,9 @@ def _main(results: Results, options: TableOptions) -> Tables:
     is_busy = [place in busy for place in zip(main["method"], main["dataset"], main["scene"], strict=True)]
     main.loc[is_time & main["value"].notna() & np.array(is_busy), "reason"] = "its mean has times of a busy machine"
     of_paper = main["dataset"].isin(DATASETS.values()).any()
-    difference = against_published(main, published_main(), KEYS, records, COLUMN_OF) if of_paper else None
+    difference = None
+    if of_paper:
+        difference = against_published(with_papers_averages(main), published_main(), KEYS, records, COLUMN_OF)
     by_length, changes = None, None
     if results.plan.table == "readings":
         numbers = reading_cells(records)

@@ -34,7 +34,10 @@ def sentences_of(comparison: MethodComparison, main: pd.DataFrame, records: Sequ
     if scenes.empty:
         kinds = both.loc[both["metric"] == MAIN_COLUMNS[0], TRAINING_KIND].unique()
         unlike = f"trainings differ ({' / '.join(filter(None, kinds))})"
-        yield f"{title}: not compared: {why_not(both, unlike if len(kinds) > 1 else 'no scene has results of both')}"
+        of_scores = changes[(changes["metric"] == MAIN_COLUMNS[0]) & ~is_average(changes)]
+        lacking, *more = [*filter(None, of_scores["reason"].unique()), ""]
+        why = unlike if len(kinds) > 1 else "no scene has results of both" if len(more) != 1 else lacking
+        yield f"{title}: not compared: {why_not(both, why)}"
         return
     compared = scenes[["dataset", "scene"]].drop_duplicates()
     several = len(compared) > 1

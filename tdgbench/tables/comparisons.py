@@ -136,10 +136,13 @@ def best_or_tied(metric: str, values: np.ndarray, by_seed: np.ndarray) -> np.nda
 def with_bold(rows: pd.DataFrame, by_seed: pd.DataFrame, within: Sequence[str]) -> pd.DataFrame:
     """Return the rows with the column `bold`: which are `best_or_tied` among those of equal metric and `within`.
 
-    by_seed: the rows' values by seed, with their index. Rows of unlike trainings (column `training`) are no rivals.
+    by_seed: the rows' values by seed, with their index. None is where values are of unlike trainings (column
+    `training`): a reader takes the bold one for the best of its row.
     """
     bold = pd.Series(False, rows.index)
-    for _, rivals in rows.groupby([*within, "metric", *(["training"] if "training" in rows else [])], sort=False):
+    for _, rivals in rows.groupby([*within, "metric"], sort=False):
+        if "training" in rows and rivals.loc[rivals["value"].notna(), "training"].nunique() > 1:
+            continue
         values, seeds = rivals["value"].to_numpy(float), by_seed.loc[rivals.index].to_numpy(float)
         bold[rivals.index] = best_or_tied(rivals["metric"].iloc[0], values, seeds)
     return rows.assign(bold=bold)
@@ -151,7 +154,8 @@ def compare_methods(
     """Compare every method of a main table with its baseline (`methods.baselines`), where the table has both.
 
     cells: `cell_rows`. finished: the cells behind them. equal: scenes of the data of others (`equal_scenes`), which do
-    not count. Nor do those of unlike trainings (column `training` of main), nor times of two machines, seed by seed.
+    not count. Nor do those of unlike trainings (column `training` of main), nor what is n/a in main, such as a mean
+    over seeds of which some failed, nor times of two machines, seed by seed.
     """
     once = [place not in equal for place in zip(cells["dataset"], cells["scene"], strict=True)]
     sided = [name for name in cells["metric"].unique() if measure_of(name).has_better_side and not is_of_training(name)]
@@ -170,10 +174,12 @@ def _compare(pair: MethodPair, cells: pd.DataFrame, main: pd.DataFrame, finished
     printed = main[KEYS[1:]].drop_duplicates()  # a table of one data set has no overall average
     new, old = (by_seed.xs(method, level="method") for method in pair)
     new, old = (side[side.index.isin(pd.MultiIndex.from_frame(printed))] for side in (new, old))
-    rows = [
-        [*place, *change_over_seeds(place[-1], new.loc[place].to_numpy(float), old.loc[place].to_numpy(float))]
-        for place in new.index
-    ]
+    has_mean, missing = main.set_index(KEYS)["value"].notna(), np.full(new.shape[1], np.nan)
+    rows = []
+    for place in new.index:
+        are_means = all(has_mean.get((method, *_scored(place)), False) for method in pair)
+        sides = [side.loc[place].to_numpy(float) if are_means else missing for side in (new, old)]
+        rows.append([*place, *change_over_seeds(place[-1], *sides)])
     changes = pd.DataFrame(rows, columns=[*KEYS[1:], *Change._fields])
     reasons, is_none = main.set_index(KEYS)["reason"], changes["seeds"] == 0
     values = main[main["method"] == pair.method].set_index(KEYS[1:])[IMAGES]
@@ -187,6 +193,14 @@ def _compare(pair: MethodPair, cells: pd.DataFrame, main: pd.DataFrame, finished
     return MethodComparison(pair, changes, paired_tests(changes, main[main["method"].isin(pair)]))
 
 
+def _scored(place: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the place whose mean says whether trainings compare there. place: KEYS but the method.
+
+    Of times it is that of the first score: seed by seed, times of several machines may compare where their mean is n/a.
+    """
+    return (*place[:-1], MAIN_COLUMNS[0]) if place[-1] == HOURS.name else place
+
+
 def _why_none(
     pair: MethodPair,
     place: tuple[str, ...],
@@ -198,7 +212,8 @@ def _why_none(
 
     changes: those of scenes have their reasons, from which those of averages follow.
     """
-    lacking = {method: why for method in pair if (why := reasons.get((method, *place), ""))}
+    lacking = {method: why for method in pair
+               if (why := reasons.get((method, *place), "") or reasons.get((method, *_scored(place)), ""))}  # fmt: skip
     if len(lacking) == len(pair) and len({*lacking.values()}) == 1:
         return lacking[pair.method]
     if lacking:

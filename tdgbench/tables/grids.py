@@ -184,7 +184,8 @@ def difference_note(published: Any, scene: str) -> tuple[str, str]:
         details.append(f"90 % interval of our mean: {interval}, margin {published.margin:g}")
     if published.papers > 1:
         ends = dict.fromkeys(as_text(metric, end, scene) for end in (published.others_low, published.others_high))
-        details.append(f"other papers: {' to '.join(ends)}")
+        perhaps = " (perhaps of another method)" if published.others_doubt else ""
+        details.append(f"other papers{perhaps}: {' to '.join(ends)}")
     return as_text(metric, published.difference, scene, f"+.{digits(metric, scene)}f"), "; ".join(details)
 
 

@@ -49,6 +49,7 @@ NOT_COMPARED = (
     "unlike trainings: they are not compared, and means over them are n/a "
     f"(tdgbench tables DIR {RANK_UNLIKE}: they are)"
 )
+SELECTED = "its checkpoint was chosen by test views, so its scores are too high beside the others"
 RANKED = f"unlike trainings: they are ranked and averaged all the same, as {RANK_UNLIKE} asks"
 
 
@@ -235,8 +236,7 @@ def is_selected(record: Record) -> bool:
 def selected_notes(records: Iterable[Record], column: Callable[[Record], str]) -> list[str]:
     """Return a note for each column with such cells."""
     chosen = dict.fromkeys(column(record) for record in records if is_selected(record))
-    what = "its checkpoint was chosen by test views, so its scores are too high beside the others"
-    return [f"selected: {methods.label(name)}: {what}" for name in chosen]
+    return [f"selected: {methods.label(name)}: {SELECTED}" for name in chosen]
 
 
 def _problems(unlike: pd.DataFrame) -> list[str]:

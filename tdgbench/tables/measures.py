@@ -46,7 +46,8 @@ PARAMETERS = RecordMeasure(
 )  # fmt: skip
 MEMORY = RecordMeasure(
     name="memory_mb", label="memory of the process", meaning="largest memory of the process that ran the cell",
-    unit="MB", digits=0, ratio=True, of_record=lambda record: nan if record.peak_rss_mb is None else record.peak_rss_mb,
+    unit="MB", digits=0, ratio=True, has_better_side=False,  # the process may have made other cells before
+    of_record=lambda record: nan if record.peak_rss_mb is None else record.peak_rss_mb,
 )  # fmt: skip
 OF_RECORDS = (HOURS, GAUSSIANS, PARAMETERS, MEMORY)  # those that are `in_main_table` are columns of the main table
 _TRAIN = [metric.of_training_views() for metric in TRAIN_METRICS.values()]

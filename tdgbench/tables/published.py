@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from decimal import Decimal
 from typing import Any
 
@@ -9,9 +10,12 @@ import pandas as pd
 from omegaconf import OmegaConf
 
 from tdgbench.resources import paper_tables_folder
+from tdgbench.scenes.registry import DATASETS, SCENES
+from tdgbench.tables.measures import AVERAGE, OVERALL
 
 FOLDER = paper_tables_folder()
 PAPER = "tdg"  # the source whose tables are reproduced
+OVER_OTHERS = "our average is over other scenes than the paper's"
 
 
 def published_main() -> pd.DataFrame:
@@ -22,6 +26,22 @@ def published_main() -> pd.DataFrame:
 def published_ablation() -> pd.DataFrame:
     """Read Table 2: method, init, metric, value; means over the 14 scenes."""
     return pd.read_csv(FOLDER / "table2.csv")
+
+
+def is_over_papers_scenes(scenes: Iterable[tuple[str, str]], dataset: str = "") -> bool:
+    """Return whether (data set, scene) are the paper's, all of them and no others. dataset: in which; empty: all."""
+    papers = {(DATASETS[scene.dataset], scene.name) for scene in SCENES}
+    one, other = ({place for place in places if dataset in ("", place[0])} for places in (papers, set(scenes)))
+    return one == other
+
+
+def with_papers_averages(main: pd.DataFrame) -> pd.DataFrame:
+    """Return a main table in which averages over other scenes than the paper's are n/a: no printed ones are theirs."""
+    is_average = main["scene"].isin((AVERAGE, OVERALL))
+    scenes = set(main.loc[~is_average, ["dataset", "scene"]].itertuples(index=False, name=None))
+    of_papers = {name: is_over_papers_scenes(scenes, name) for name in main["dataset"].unique()}
+    others = is_average & ~main["dataset"].map(of_papers) & main["value"].notna()
+    return main.assign(value=main["value"].mask(others), reason=main["reason"].mask(others, OVER_OTHERS))
 
 
 def load_sources() -> dict[str, dict[str, Any]]:

@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 
 from tdgbench.cells.record import Record
-from tdgbench.scenes.registry import DATASETS, SCENES
 from tdgbench.scoring import METRICS
 from tdgbench.tables import methods
 from tdgbench.tables.likeness import setups, was_disturbed
@@ -33,7 +32,7 @@ from tdgbench.tables.measures import (
     measure_of,
 )
 from tdgbench.tables.palette import with_mark
-from tdgbench.tables.published import published_main
+from tdgbench.tables.published import is_over_papers_scenes, published_main
 from tdgbench.tables.statistics import mean_interval, with_interval
 
 COMPARED = (*MAIN_COLUMNS, GAUSSIANS.name)  # columns of the printed tables of changes
@@ -167,13 +166,9 @@ def _with_published(scores: pd.DataFrame, shared: set[tuple[str, str]]) -> pd.Da
             length[method] = choose(of_method)
     printed["iterations"] = printed["method"].map(length)
     table = scores.merge(printed, on=["method", "iterations", "dataset", "scene", "metric"], how="left")
-    papers = {(DATASETS[scene.dataset], scene.name) for scene in SCENES}
-
-    def is_over_others(dataset: str) -> bool:
-        return {one for one in shared if dataset in ("", one[0])} != {one for one in papers if dataset in ("", one[0])}
-
     is_average = table["scene"].isin((AVERAGE, OVERALL))
-    unlike = (table["init"] != "colmap") | (is_average & table["dataset"].map(is_over_others))
+    is_papers = {name: is_over_papers_scenes(shared, name) for name in table["dataset"].unique()}
+    unlike = (table["init"] != "colmap") | (is_average & ~table["dataset"].map(is_papers).astype(bool))
     return table.assign(published=table["published"].mask(unlike))
 
 
@@ -206,12 +201,14 @@ def effects(cells: pd.DataFrame) -> pd.DataFrame:
 
 
 def _changes(both: pd.DataFrame) -> pd.DataFrame:
-    """Return changes by scene, and over all scenes that every seed has."""
+    """Return changes by scene, and over all scenes that every seed has; none where seeds of a scene are unlike."""
     ratio = both["metric"].map(lambda name: measure_of(name).ratio)
     before, after = both["value_before"], both["value_after"]
     logs = np.log((after / before).where(ratio, 1.0))
     both = both.assign(change=(after - before).where(~ratio, logs))
     rows = []
+    setups_of = both[both["metric"] == MAIN_SCORES[0]].groupby(PLACE[:4])["setup"].nunique()  # not of times: machines
+    both = both[~both.set_index(PLACE[:4]).index.isin(setups_of.index[setups_of > 1])]
     for (init, split, metric), group in both.groupby(["init", "split", "metric"], sort=False):
         wide = group.pivot_table(index="seed", columns=["dataset", "scene"], values="change").dropna(axis=1)
         places = [(dataset, scene, wide[[(dataset, scene)]]) for dataset, scene in wide.columns]

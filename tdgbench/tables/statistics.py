@@ -18,6 +18,7 @@ from tdgbench.tables.results import Cell
 REPLICATES = 1000
 SEED = 0
 COVERAGE = 0.95
+UNEQUAL_SEEDS = "its scenes have unequal seeds, so it has no spread"
 
 
 def half_width(std: Any, count: Any, tail: float) -> Any:
@@ -69,10 +70,18 @@ def seed_values(cells: pd.DataFrame) -> pd.DataFrame:
 def with_seeds(rows: pd.DataFrame, cells: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the rows with seeds (their number) and std (sample standard deviation; NaN below two); values by seed.
 
-    rows: have KEYS. cells: `cell_rows`. The values are `seed_values` with the rows' index.
+    rows: have KEYS. cells: `cell_rows`. The values are `seed_values` with the rows' index. An average over scenes with
+    unequal seeds has none: it is no mean over the seeds that all of them have, whose spread would not be its own.
     """
     by_seed = seed_values(cells).reindex(pd.MultiIndex.from_frame(rows[KEYS])).set_index(rows.index)
-    return rows.assign(seeds=by_seed.count(axis=1), std=by_seed.std(axis=1)), by_seed
+    of_scenes = cells.dropna(subset=["value", "seed"])
+    seeds, std, reason = by_seed.count(axis=1), by_seed.std(axis=1), rows["reason"]
+    for names, scene in ((["method", "dataset", "metric"], AVERAGE), (["method", "metric"], OVERALL)):
+        most = of_scenes.groupby(names)["seed"].nunique()  # of all scenes together
+        unequal = (rows["scene"] == scene) & (seeds < pd.MultiIndex.from_frame(rows[names]).map(most.to_dict()))
+        seeds, std = seeds.mask(unequal, 0), std.mask(unequal)
+        reason = reason.mask(unequal & rows["value"].notna() & (reason == ""), UNEQUAL_SEEDS)
+    return rows.assign(seeds=seeds, std=std, reason=reason), by_seed
 
 
 def intervals(cells: Iterable[Cell]) -> pd.DataFrame:

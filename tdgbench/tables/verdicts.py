@@ -26,7 +26,7 @@ from tdgbench.tables.palette import IMAGES, with_text_of_cells
 from tdgbench.tables.published import FOLDER
 from tdgbench.tables.published_setup import departures
 from tdgbench.tables.seed_spreads import beyond_any_seed
-from tdgbench.tables.statistics import half_width
+from tdgbench.tables.statistics import UNEQUAL_SEEDS, half_width
 
 ALPHA = 0.05  # of each one-sided test; the interval covers 1 − 2 ALPHA
 POWER = 0.8  # share of repetitions that `seeds_needed` seeds decide
@@ -113,7 +113,8 @@ def _power(shift: np.ndarray, seeds: np.ndarray) -> np.ndarray:
 def judge_published(metric: str, scene: str, ours: float, published: float, std: float, seeds: int) -> ScoreVerdict:
     """Judge one published number. ours, std: mean and sample standard deviation over seeds (std NaN for one).
 
-    An average over scenes is judged like a scene, by the spread of averages over the seeds that all scenes have.
+    An average over scenes is judged like a scene, by the spread of averages over seeds that all scenes have; seeds: 0
+    where they have unequal ones.
 
     >>> judge_published("psnr", "Truck", ours=26.3, published=26.28, std=0.05, seeds=3).verdict
     'reproduced'
@@ -131,7 +132,7 @@ def judge_published(metric: str, scene: str, ours: float, published: float, std:
     if seeds < 2 or np.isnan(std):
         if beyond_any_seed(metric, abs(ours - published) - margin - rounding):
             return ScoreVerdict(NOT_REPRODUCED, margin, nan, nan, "", "")
-        return ScoreVerdict(UNDECIDED, margin, nan, nan, UNKNOWN, ONE_SEED)
+        return ScoreVerdict(UNDECIDED, margin, nan, nan, UNKNOWN, ONE_SEED if seeds else UNEQUAL_SEEDS)
     low, high = (float(end) for end in seeds_interval(ours, std, seeds))
     word = str(judge_score(low, high, published, rounding, margin, measure_of(metric).higher_is_better))
     if word != UNDECIDED:

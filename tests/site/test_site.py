@@ -194,6 +194,18 @@ def test_rows_of_other_images_are_not_compared(tmp_path):
     assert f"<b>No ranks on Truck</b>: the rows of all packs differ in {differ}" in index
 
 
+def test_checkpoints_chosen_by_test_views_have_no_rank(tmp_path):
+    folder = tmp_path / "chosen"
+    for method, psnr, rule in (("ours", 30.0, "best_test_view"), ("theirs", 29.0, "last"), ("others", 28.0, "last")):
+        made = {"files": "0" * 8, "summary": "made elsewhere", "checkpoint_rule": rule}
+        for seed in range(3):
+            write(folder, method, "yard", "folder", seed=seed, scores={"psnr": psnr + seed / 100}, made_elsewhere=made)
+    with_truth(folder)
+    site = make(tmp_path / "site", pack(folder)[0])
+    assert {row[1]: row[0] for row in rows_of_index(site)} == {"ours": "–", "theirs": "1", "others": "2"}
+    assert "ours: its checkpoint was chosen by test views" in (site / "index.html").read_text()
+
+
 def test_a_method_with_a_failed_seed_is_shown_with_the_reason(tmp_path):
     for method in ("tdg", "3dgs"):
         for seed in range(3):

@@ -57,6 +57,17 @@ def test_verdicts_and_other_papers_stand_beside_the_published_numbers(tmp_path):
     assert len(papers) == len(tables.papers) == 24
 
 
+def test_an_average_over_other_scenes_is_not_the_paper_s(tmp_path):
+    for seed in range(3):
+        published_as_records(tmp_path, seed=seed)
+        write(tmp_path, "tdg", "attic", "folder", seed=seed, scores={"psnr": 40.0})
+        write(tmp_path, "msmg", "attic", "folder", seed=seed, scores={"psnr": 40.0})
+    found = build_tables(tmp_path).difference.query("metric == 'psnr' and method == 'tdg'").set_index("scene")
+    assert found.loc["Average (Overall)", "verdict"] == "undecided"
+    assert found.loc["Average (Overall)", "reason"] == "our average is over other scenes than the paper's"
+    assert set(found.drop("Average (Overall)")["verdict"]) == {"reproduced"}
+
+
 def test_ablation(tmp_path):
     write_ablation(tmp_path)
     Plan("ablation").write(tmp_path)

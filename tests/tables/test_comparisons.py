@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
 
 from tdgbench.cells.plan import Plan
+from tdgbench.cells.record import Failure
 from tdgbench.tables import methods
 from tdgbench.tables.build import build_tables
 from tdgbench.tables.comparisons import EQUAL, best_or_tied, change_over_seeds, compare_methods, paired_tests
@@ -131,6 +134,36 @@ def test_unlike_trainings_and_machines_are_not_compared(tmp_path):
     comparisons = compare_methods(cells, main, results.finished)
     assert findings_of_methods(main, None, comparisons, None, {})[0] == (
         "TDg against MSMG: not compared: trainings differ (msmg / tdg)"
+    )
+
+
+@pytest.mark.parametrize("scenes", [("yard",), ("yard", "hall")])
+def test_what_is_na_is_not_compared(tmp_path, scenes):
+    """Both methods have the same two budgets, by seed or by scene: means are n/a, and so is what compares them."""
+    for method, scene, seed in product(("tdg", "msmg"), scenes, range(4)):
+        is_short = scene == "hall" or (len(scenes) == 1 and seed > 1)
+        budget = {"name": "short", "iterations": 300} if is_short else {"name": "demo", "iterations": 100}
+        psnr = 20.0 + 8 * is_short + (method == "tdg") + seed / 100
+        write(tmp_path, method, scene, "folder", seed=seed, scores={"psnr": psnr}, config={"budget": budget})
+    tables = build_tables(tmp_path)
+    changes = tables.comparisons[0].changes.query("metric == 'psnr'").set_index("scene")
+    what = "its scenes or seeds are unlike trainings" if len(scenes) > 1 else "its seeds are unlike trainings"
+    place = "Average" if len(scenes) > 1 else "yard"
+    assert changes.loc[place, "verdict"] == "n/a" and changes.loc[place, "reason"].startswith(what)
+    assert not any("28." in found for found in tables.findings if "on average" in found or len(scenes) == 1)
+    if len(scenes) > 1:
+        assert changes.loc["yard", "verdict"] == BETTER
+    else:
+        assert tables.findings[0].startswith(f"TDg against MSMG: not compared: {what} (budget: demo, short")
+
+
+def test_seeds_that_fail_are_outcomes(tmp_path):
+    for method, seed in product(("tdg", "msmg"), range(5)):
+        failure = Failure("train", "FloatingPointError: loss is not finite", "")
+        more = {"status": "failed", "failure": failure} if method == "tdg" and seed > 2 else {}
+        write(tmp_path, method, "yard", "folder", seed=seed, scores={"psnr": 22.0 + seed / 100}, **more)
+    assert build_tables(tmp_path).findings[0] == (
+        "TDg against MSMG: not compared: TDg: in 2 of 5 seeds failed in train: FloatingPointError: loss is not finite"
     )
 
 

@@ -77,7 +77,7 @@ def test_a_verdict_in_words(tables):
     note, details = difference_note(row(tables, "msmg", "Parterre"), "Parterre")
     assert note == "+0.00"
     interval = "90 % interval of our mean: 24.04 to 24.09, margin 0.2"
-    assert details == f"published 24.06: reproduced; {interval}; other papers: 26.16"
+    assert details == f"published 24.06: reproduced; {interval}; other papers (perhaps of another method): 26.16"
     note, details = difference_note(row(tables, "msmg", "Truck"), "Truck")
     assert note == "-1.84" and details.startswith("published 25.90: worse; 90 % interval of our mean")
 

@@ -108,6 +108,9 @@ def test_no_mean_is_over_priors_or_unlike_trainings():
     other.backend = "gsplat"
     table = readings(reading_cells([far, other])).query("metric == 'psnr'")
     assert table["value"].isna().all() and (table["seeds"] == 2).all()
+    pairs = [far, other, *(record("3dgs_smooth", 3000, 19.0, seed) for seed in (0, 1))]
+    pairs[-1].backend = "gsplat"
+    assert effects(reading_cells(pairs)).empty and not effects(reading_cells(pairs[::2])).empty
 
 
 def test_failed_cells_say_nothing():

@@ -9,7 +9,7 @@ from tdgbench.tables.build import build_tables
 from tdgbench.tables.long_table import cell_rows, scene_rows, with_averages
 from tdgbench.tables.published import published_main
 from tdgbench.tables.results import read_results
-from tdgbench.tables.statistics import intervals, with_seeds
+from tdgbench.tables.statistics import UNEQUAL_SEEDS, intervals, with_seeds
 from tdgbench.tables.verdicts import REPRODUCED, UNDECIDED
 from tests.helpers.records import published_as_records, write
 
@@ -31,6 +31,23 @@ def test_spread_over_seeds(tmp_path):
     assert psnr.loc["Truck", "std"] == pytest.approx(1.0) and psnr.loc["Truck", "seeds"] == 3
     assert np.isnan(psnr.loc["Average", "std"]).all()  # other scenes of the data set are missing
     assert psnr.loc["Lion", "seeds"] == 0
+
+
+def test_an_average_over_unequal_seeds_has_no_spread(tmp_path):
+    """Two seeds of all scenes are the published table; one scene has three more, 9 dB above."""
+    for seed in (0, 1):
+        published_as_records(tmp_path, seed=seed)
+    for seed in (2, 3, 4):
+        write(tmp_path, "tdg", "Truck", seed=seed, scores={"psnr": 36.0, "ssim": 0.878, "lpips": 0.133})
+    tables = build_tables(tmp_path)
+    found = tables.difference.query("metric == 'psnr' and method == 'tdg'").set_index("scene")
+    for place in ("Average (Overall)", "Average"):
+        row = found[(found.index == place) & (found["dataset"] != "ThermalMix")].iloc[0]
+        assert row["verdict"] == UNDECIDED and row["undecided_because"] == UNEQUAL_SEEDS and np.isnan(row["std"])
+    row = found[(found.index == "Average") & (found["dataset"] == "ThermalMix")].iloc[0]
+    assert row["verdict"] == REPRODUCED and row["seeds"] == 2
+    reasons = tables.main.query("scene == 'Average (Overall)' and metric == 'psnr'").set_index("method")["reason"]
+    assert reasons.to_dict() == {"msmg": "", "tdg": UNEQUAL_SEEDS}
 
 
 def test_intervals_hold_what_the_samples_hold(tmp_path):

@@ -13,6 +13,7 @@ import pandas as pd
 from omegaconf import OmegaConf
 from pydantic import TypeAdapter
 
+from tdgbench.tables import methods
 from tdgbench.tables.between_papers import gain_against_spread
 from tdgbench.tables.claims import cell_checks, table_checks
 from tdgbench.tables.claims.evidence import (
@@ -83,6 +84,11 @@ def check_claim(claim: Claim, evidence: ClaimEvidence) -> Finding:
         verdict = UNDECIDED if of_one_seed else verdict
         open_ = "one seed decides nothing" if of_one_seed else "95 % intervals over seeds leave it open"
         parts += [evidence.note, open_ if verdict == UNDECIDED else ""]
+    compared = {*claim.methods, *claim.against} or {*methods.paper_pair()}
+    failed = {methods.label(name): count for name, count in evidence.failed.items() if name in compared}
+    if failed:
+        verdict = UNDECIDED
+        parts.append(f"trainings failed, which this leaves out ({', '.join(f'{n} of {m}' for m, n in failed.items())})")
     if claim.gain:
         parts.append(gain_against_spread(evidence.main, claim.metrics or [claim.metric]))
     found = Finding(verdict, "; ".join(part for part in parts if part))

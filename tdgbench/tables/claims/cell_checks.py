@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -24,8 +25,10 @@ from tdgbench.tables.claims.cell_pairs import (
     gain_interval,
     judge_gain,
     make_pairs,
+    place_of,
 )
 from tdgbench.tables.claims.evidence import (
+    HOLDS,
     UNDECIDED,
     Claim,
     ClaimEvidence,
@@ -48,7 +51,7 @@ def better(claim: Claim, evidence: ClaimEvidence) -> Finding:
     """Check that each of `methods` is better than each of `against` at the most equal iterations, from COLMAP points.
 
     margins: the least gain in each quantity: a difference in its unit, or a share where two cells are compared by
-    their ratio (0.1: 10 % less). Combinations without pairs do not count.
+    their ratio (0.1: 10 % less). stages: see `Claim`. A claim holds only if all combinations have pairs.
     """
     sides = [(Side(a, COLMAP), Side(b, COLMAP)) for a in claim.methods for b in claim.against if a != b]
     return _compare(claim, evidence, sides)
@@ -68,10 +71,12 @@ def better_average(claim: Claim, evidence: ClaimEvidence) -> Finding:
     _need_cells(claim, evidence)
     chosen, left_out = evidence.published_pairs
     pairs = [CellPair(*pair) for pair in chosen]
-    findings = [part for metric in claim.metrics for part in _gain(claim, QUANTITIES[metric], 0.0, pairs)]
+    parts = {metric: _gain(claim, QUANTITIES[metric], 0.0, pairs) for metric in claim.metrics}
+    findings = [part for found in parts.values() for part in found]
     if not findings:
         raise MissingError(f"no pair of {named(map(methods.label, methods.paper_pair()))}")
-    return _with_notes(all_of(findings), [left_out], pairs)
+    missing = [QUANTITIES[metric].label for metric, found in parts.items() if not found]
+    return _with_notes(_whole(all_of(findings), missing), [left_out], pairs)
 
 
 def better_init(claim: Claim, evidence: ClaimEvidence) -> Finding:
@@ -108,23 +113,23 @@ def attributed(claim: Claim, evidence: ClaimEvidence) -> Finding:
     if not links:
         raise MissingError("no cells of tdg, 3dgs_smooth (TDg without depth) and msmg on one machine")
     links, left_out = decisive(links)
-    scenes = [cells[0].dataset_and_scene for cells in links]
+    places = [place_of(cells[0]) for cells in links]
     logs = np.log([[cell.record.seconds["train"] for cell in cells] for cells in links])
-    chain = logs[:, :-1] - logs[:, 1:]
-    total = gain_interval(scenes, chain.sum(axis=1))
+    steps = logs[:, :-1] - logs[:, 1:]
+    total = gain_interval(places, steps.sum(axis=1))
     lengths = " and ".join(dict.fromkeys(str(links[0][end].planned_iterations) for end in (-1, 0)))
     times = f"time TDg / MSMG at {lengths} {_ratio_text(total)}, {counts_in_words(total)}"
     all_cells = [cell for cells in links for cell in cells]
     if not total.low > 0:
         found = Finding(UNDECIDED, f"no sure speed-up to attribute: {times}")
         return _with_notes(found, [left_out], [all_cells])
-    named = zip(("fewer iterations", "no RGB model", "depth"), chain.T, strict=True)
+    named = zip(("fewer iterations", "no RGB model", "depth"), steps.T, strict=True)
     shares = [
-        f"{name} {100 * gain_interval(scenes, link).mean / total.mean:.0f} %" for name, link in named if link.any()
+        f"{name} {100 * gain_interval(places, link).mean / total.mean:.0f} %" for name, link in named if link.any()
     ]
-    depth = gain_interval(scenes, chain[:, 2])
+    depth = gain_interval(places, steps[:, 2])
     grounds = f"{times}; of its logarithm {', '.join(shares)}; depth alone multiplies time by {_ratio_text(depth)}"
-    verdict = judge_gain(gain_interval(scenes, chain[:, 2] - claim.share * chain.sum(axis=1)), 0.0)
+    verdict = judge_gain(gain_interval(places, steps[:, 2] - claim.share * steps.sum(axis=1)), 0.0)
     return _with_notes(Finding(verdict, grounds), [left_out], [all_cells])
 
 
@@ -142,22 +147,34 @@ def _compare(claim: Claim, evidence: ClaimEvidence, sides: Sequence[tuple[Side, 
     findings: list[Finding] = []
     judged: list[CellPair] = []
     notes: list[str] = []
+    missing: list[str] = []
     for mine, other in sides:
-        pairs = make_pairs(evidence, mine, other)
+        pairs = make_pairs(evidence, mine, other, claim.stages)
         grown = [pair for pair in pairs if not counts_gaussians or all(map(_has_density_control, pair))]
         chosen, left_out = decisive(grown)
-        parts = [part for name, margin in claim.margins.items()
-                 for part in _gain(claim, QUANTITIES[name], margin, chosen)]  # fmt: skip
-        if parts:
-            findings, judged = findings + parts, judged + chosen
+        by_name = {name: _gain(claim, QUANTITIES[name], margin, chosen) for name, margin in claim.margins.items()}
+        kinds = {QUANTITIES[name].kind or name for name, found in by_name.items() if found}
+        without = [QUANTITIES[name].label for name in by_name if (QUANTITIES[name].kind or name) not in kinds]
+        names = f"{_name(mine, other)} with {_name(other, mine)}"
+        missing += [f"{', '.join(without)} of {names}" if kinds else names] if without else []
+        if kinds:
+            findings, judged = [*findings, *chain.from_iterable(by_name.values())], judged + chosen
             notes.append(left_out)
         if len(grown) < len(pairs):
             notes.append("left out: trainings that ended before density control began")
     if not findings:
         sought = " or ".join(dict.fromkeys(f"{_name(a, b)} and {_name(b, a)}" for a, b in sides))
-        missing = f"no pair of {sought} with {', '.join(QUANTITIES[name].label for name in claim.margins)}"
-        raise MissingError("; ".join([missing, *dict.fromkeys(filter(None, notes))]))
-    return _with_notes(all_of(findings), [*notes, claim.note], judged)
+        nothing = f"no pair of {sought} with {', '.join(QUANTITIES[name].label for name in claim.margins)}"
+        raise MissingError("; ".join([nothing, *dict.fromkeys(filter(None, notes))]))
+    return _with_notes(_whole(all_of(findings), missing), [*notes, claim.note], judged)
+
+
+def _whole(finding: Finding, missing: Sequence[str]) -> Finding:
+    """Return the finding on a claim, some parts of which may have no pairs: then it does not hold, but may fail."""
+    if not missing:
+        return finding
+    grounds = f"{finding.grounds}; not compared: {'; '.join(dict.fromkeys(missing))}"
+    return Finding(UNDECIDED if finding.verdict == HOLDS else finding.verdict, grounds)
 
 
 def _with_notes(finding: Finding, notes: Iterable[str], compared: Iterable[Iterable[Cell]]) -> Finding:
@@ -181,8 +198,8 @@ def _gain(claim: Claim, quantity: Quantity, margin: float, pairs: Sequence[CellP
     both = _pairs_with(quantity, pairs, claim)
     if not both:
         return []
-    scenes, numbers = [pair.mine.dataset_and_scene for pair, _ in both], [found for _, found in both]
-    gain = gain_interval(scenes, [quantity.gain(mine, other) for mine, other in numbers])
+    places, numbers = [place_of(pair.mine) for pair, _ in both], [found for _, found in both]
+    gain = gain_interval(places, [quantity.gain(mine, other) for mine, other in numbers])
     cells = both[0][0]
     mine, other = (Side(cell.record.method, cell.record.init) for cell in cells)
     names = f"{_name(mine, other)} {'/' if quantity.ratio else '−'} {_name(other, mine)}"

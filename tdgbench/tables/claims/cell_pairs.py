@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +28,7 @@ class CellPair(NamedTuple):
 
 
 class Interval(NamedTuple):
-    """A mean and its 95 % interval (NaN for one pair) over a number of pairs in a number of scenes."""
+    """A mean and its 95 % interval (NaN for one unit) over pairs in a number of scenes; of one scene over its seeds."""
 
     mean: float
     low: float
@@ -37,33 +37,42 @@ class Interval(NamedTuple):
     scenes: int
 
 
-def make_pairs(evidence: ClaimEvidence, mine: Side, other: Side) -> list[CellPair]:
+def make_pairs(
+    evidence: ClaimEvidence, mine: Side, other: Side, stages: Mapping[str, int] | None = None
+) -> list[CellPair]:
     """Return cells with equal setup, seed and planned iterations: when they settled is an outcome.
 
-    A cell that two experiments hold counts once.
+    A cell that two experiments hold counts once. stages: by method, in how many stages its iterations are, one of which
+    is compared (`Claim.stages`).
     """
     sides: list[dict[tuple[object, ...], Cell]] = [{}, {}]
     for setup, cell in evidence.placed:
-        key = (setup, cell.record.seed, cell.planned_iterations)
+        key = (setup, cell.record.seed, cell.planned_iterations / (stages or {}).get(cell.record.method, 1))
         for by_key, side in zip(sides, (mine, other), strict=True):
             if (cell.record.method, cell.record.init) == side:
                 by_key.setdefault(key, cell)
     return [CellPair(cell, sides[1][key]) for key, cell in sides[0].items() if key in sides[1]]
 
 
-def gain_interval(scenes: Sequence[tuple[str, str]], gains: Iterable[float]) -> Interval:
-    """Return Student's 95 % interval of the mean gain. scenes: (data set, scene) of each gain.
+def place_of(cell: Cell) -> tuple[str, str, int]:
+    """Return data set, scene and seed of a cell."""
+    return (*cell.dataset_and_scene, cell.record.seed)
+
+
+def gain_interval(places: Sequence[tuple[str, str, int]], gains: Iterable[float]) -> Interval:
+    """Return Student's 95 % interval of the mean gain. places: data set, scene and seed of each gain.
 
     Each scene counts once, by the mean of its pairs, so that seeds do not count as scenes. With one scene the interval
-    is over its pairs and does not extend to other scenes.
+    is over its seeds, each by the mean of its pairs (of two splits, for one), and does not extend to other scenes.
 
-    >>> gain_interval([("a", "x"), ("a", "x"), ("a", "y")], [1.0, 3.0, 4.0]).mean
+    >>> gain_interval([("a", "x", 0), ("a", "x", 1), ("a", "y", 0)], [1.0, 3.0, 4.0]).mean
     3.0
     """
-    values = pd.Series(list(gains), index=pd.MultiIndex.from_tuples(list(scenes)), dtype=float)
-    by_scene = values.groupby(level=[0, 1]).mean()
-    units = (by_scene if len(by_scene) > 1 else values).to_numpy()
-    return Interval(*mean_interval(units), len(values), len(by_scene))
+    values = pd.Series(list(gains), index=pd.MultiIndex.from_tuples(list(places)), dtype=float)
+    by_scene, by_seed = values.groupby(level=[0, 1]).mean(), values.groupby(level=2).mean()
+    if len(by_scene) > 1:
+        return Interval(*mean_interval(by_scene.to_numpy()), len(values), len(by_scene))
+    return Interval(*mean_interval(by_seed.to_numpy()), len(by_seed), 1)
 
 
 def judge_gain(gain: Interval, margin: float) -> str:
@@ -95,6 +104,6 @@ def counts_in_words(gain: Interval) -> str:
     '95 % interval over 4 scenes of 12 pairs'
     """
     if not np.isfinite(gain.low):
-        return "one pair has no interval"
-    over = f"{gain.scenes} scenes of {gain.pairs} pairs" if gain.scenes > 1 else f"{gain.pairs} pairs of one scene"
+        return "one seed of one scene has no interval"
+    over = f"{gain.scenes} scenes of {gain.pairs} pairs" if gain.scenes > 1 else f"{gain.pairs} seeds of one scene"
     return f"95 % interval over {over}" + ", one seed each" * (gain.pairs == gain.scenes > 1)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
@@ -19,7 +20,7 @@ from tdgbench.cells.record import Record, no_records
 from tdgbench.scenes.registry import DATASETS
 from tdgbench.tables import methods
 from tdgbench.tables.likeness import Trainings, setups, was_disturbed
-from tdgbench.tables.long_table import cell_rows, iterations_in_words, scene_rows, with_averages
+from tdgbench.tables.long_table import cell_rows, iterations_in_words, planned_iterations, scene_rows, with_averages
 from tdgbench.tables.measures import AVERAGE, HOURS, KEYS, OVERALL
 from tdgbench.tables.overrides import overrides_of
 from tdgbench.tables.results import Cell, read_results
@@ -55,6 +56,7 @@ class Claim:
     methods: list[str] = field(default_factory=list)
     against: list[str] = field(default_factory=list)  # methods
     margins: dict[str, float] = field(default_factory=dict)  # by quantity
+    stages: dict[str, int] = field(default_factory=dict)  # by method, of one modality each; one is compared (default 1)
     percent: str = ""
     averages: dict[str, str] = field(default_factory=dict)  # by method
     minutes: str = ""
@@ -103,7 +105,8 @@ class ClaimEvidence:
     printed: whether the values were rounded for print, so that each is known to half a unit only. cells: the cells
     behind our tables. note: the cells of the main table, in words. equal_sized: cells that have the number of Gaussians
     that was asked for; no table and no other claim reads them. by_seed: `seed_values` of our main table.
-    not_counted: methods of cells of ours that count for no claim, with a sentence for each reason.
+    not_counted: methods of cells of ours that count for no claim, with a sentence for each reason. failed: by method,
+    the number of its trainings that failed (but for disk, memory or device), for its failures are outcomes, too.
     """
 
     main: pd.DataFrame
@@ -114,6 +117,7 @@ class ClaimEvidence:
     equal_sized: tuple[Cell, ...] = ()
     by_seed: pd.DataFrame | None = None
     not_counted: tuple[tuple[str, str], ...] = ()
+    failed: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def overall(self) -> str:
@@ -194,11 +198,13 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
     Raises ValueError for a folder without records.
     """
     found: list[list[Cell]] = []
+    failed: list[Record] = []
     for folder in experiments:
         results = read_results(folder)
         if not results.cells:
             raise no_records(folder)
         found.append(results.finished)
+        failed += [one for one in results.records if one.failure and not overrides_of(one)]
     cells: list[Cell] = []
     dropped: dict[tuple[str, str], int] = {}
     for cell in _each_once(found):
@@ -222,7 +228,22 @@ def evidence_of(experiments: Iterable[Path]) -> ClaimEvidence:
         (method, f"{n} training{'s' * (n > 1)} of {methods.label(method)} count{'s' * (n == 1)} for no claim: {why}")
         for (method, why), n in dropped.items()
     )
-    return replace(evidence, main=main, note=note, by_seed=by_seed, not_counted=tuple(sentences))
+    return replace(
+        evidence, main=main, note=note, by_seed=by_seed, not_counted=tuple(sentences), failed=_outcomes(failed, cells)
+    )
+
+
+def _outcomes(failed: Iterable[Record], cells: Iterable[Cell]) -> Counter[str]:
+    """Return the number of trainings of each method that failed by themselves, and were not made again."""
+
+    def place(record: Record) -> tuple[object, ...]:
+        return (record.method, record.init, record.dataset, record.scene, record.seed, planned_iterations(record))
+
+    made = {place(cell.record) for cell in cells}
+    by_itself = [
+        one for one in failed if one.failure and one.failure.phase == "train" and not one.failure.of_environment
+    ]
+    return Counter(one.method for one in by_itself if place(one) not in made)
 
 
 def _each_once(experiments: Sequence[Sequence[Cell]]) -> list[Cell]:

@@ -29,7 +29,8 @@ class Quantity:
 
     ratio: two cells are compared by their ratio (lower is better), else by their difference. higher: whether higher is
     better. digits: of a difference. timed: it depends on the machine, so only cells of one machine compare.
-    counts_gaussians: it is that of initial points until density control begins.
+    counts_gaussians: it is that of initial points until density control begins. kind: quantities of one kind stand for
+    one another, where cells have either.
     """
 
     label: str
@@ -40,6 +41,7 @@ class Quantity:
     unit: str = ""
     timed: bool = False
     counts_gaussians: bool = False
+    kind: str = ""
 
     @property
     def sign(self) -> int:
@@ -176,8 +178,8 @@ QUANTITIES: dict[str, Quantity] = {
         digits=2,
         unit=" dB",
     ),
-    "depth_abs_rel": Quantity("depth error", _of_measure("depth_abs_rel"), ratio=True),
-    "depth_inconsistency": Quantity("depth inconsistency", _inconsistency, ratio=True),
+    "depth_abs_rel": Quantity("depth error", _of_measure("depth_abs_rel"), ratio=True, kind="depth"),
+    "depth_inconsistency": Quantity("depth inconsistency", _inconsistency, ratio=True, kind="depth"),
     "train_hours": Quantity(
         "training time", _of_each(lambda cell, _: cell.record.seconds.get("train")), ratio=True, timed=True
     ),

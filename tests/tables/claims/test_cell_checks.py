@@ -7,6 +7,7 @@ from itertools import product
 
 import pytest
 
+from tdgbench.cells.record import Failure
 from tdgbench.scenes.registry import ORIGIN
 from tdgbench.tables.claims import check_claim, load_claims
 from tdgbench.tables.claims.evidence import FAILS, HOLDS, UNDECIDED, ClaimEvidence, evidence_of
@@ -21,10 +22,11 @@ PUBLISHED = ClaimEvidence(published_main(), published_ablation(), printed=True)
 
 def sides(folder, claim, gains, **fields):
     """The claim's cells on one scene for each gain, all of its methods with the gain, all others with none."""
-    made = []
+    made, length = [], fields.pop("iterations", 1000)
     for scene, gain in zip("abcd", gains, strict=False):
-        made += [cell(folder, method, gain, scene=scene, **fields) for method in claim.methods]
-        made += [cell(folder, method, scene=scene, **fields) for method in claim.against]
+        for method in (*claim.methods, *claim.against):
+            own = {**fields, "iterations": length * claim.stages.get(method, 1)}
+            made.append(cell(folder, method, gain * (method in claim.methods), scene=scene, **own))
     return made
 
 
@@ -44,7 +46,7 @@ def test_claims_that_compare_methods(tmp_path, name, gains, verdict):
     claim = CLAIMS[name]
     found = check_claim(claim, ours(*sides(tmp_path, claim, gains)))
     assert found.verdict == verdict, found.grounds
-    expected = "one pair has no interval" if len(gains) == 1 else "95 % interval over 3 scenes of 3 pairs"
+    expected = "one seed of one scene has no interval" if len(gains) == 1 else "95 % interval over 3 scenes of 3 pairs"
     assert expected in found.grounds and claim.note in found.grounds
     assert check_claim(claim, ours(*sides(tmp_path, replace(claim, against=[]), gains[:1]))).verdict == UNDECIDED
 
@@ -72,6 +74,51 @@ def test_only_cells_of_equal_size_decide_what_depth_saves(tmp_path):
         assert "no cells of ours at equal numbers" in check_claim(claim, evidence).grounds
     assert check_claim(CLAIMS["depth-better"], sized(3.0, 600, 600)).grounds == "no cells of ours"
     assert "score at an equal number" in check_claim(claim, PUBLISHED).grounds
+
+
+def test_a_claim_holds_as_a_whole(tmp_path):
+    """Not by one of its methods, one of its metrics, or half of MFTG's iterations; it may fail by one."""
+    claim, gains = CLAIMS["thermalgaussian-thermal"], (1.0, 1.1, 0.9)
+    cells = sides(tmp_path, claim, gains)
+    part = ours(*(one for one in cells if one.record.method in ("msmg", "3dgs")))
+    found = check_claim(claim, part)
+    assert found.verdict == UNDECIDED and "not compared: MFTG with 3DGS; OMMG with 3DGS" in found.grounds
+    assert (
+        check_claim(claim, ours(*sides(tmp_path, replace(claim, methods=["msmg"]), (-1.0, -1.1, -0.9)))).verdict
+        == FAILS
+    )
+    halves = ours(*sides(tmp_path, replace(claim, stages={}), gains))
+    assert "not compared: MFTG with 3DGS" in check_claim(claim, halves).grounds
+    for one in cells:
+        one.record.scores["ssim"] = one.record.scores["ssim"] if one.record.scene == "a" else None
+    assert check_claim(claim, ours(*cells)).verdict == UNDECIDED  # 1 − SSIM of one scene has no interval
+    depth = CLAIMS["depth-better"]
+    without = sides(tmp_path, depth, gains)
+    for one in without:
+        one.record.scores["lpips"] = None
+    found = check_claim(depth, ours(*without))
+    assert found.verdict == UNDECIDED and "not compared: LPIPS of TDg with 3DGS, smooth" in found.grounds
+
+
+def test_seeds_of_one_scene_count_once(tmp_path):
+    """Three splits of one seed are one seed."""
+    claim, made = CLAIMS["depth-better"], []
+    for split, gain in (("folder", 1.0), ("eighty_twenty", 1.1), ("every_8th", 0.9)):
+        made += sides(tmp_path, claim, (gain,), split=split)
+    found = check_claim(claim, ours(*made))
+    assert found.verdict == UNDECIDED and "one seed of one scene has no interval" in found.grounds
+
+
+def test_trainings_that_fail_are_outcomes(tmp_path):
+    claim, _ = CLAIMS["depth-better"], (tmp_path / "cells").mkdir()
+    for one in sides(tmp_path / "cells", claim, (1.0, 1.1, 0.9, 1.0)):
+        if one.record.method == "tdg" and one.record.scene == "d":
+            one.record.status, one.record.failure = "failed", Failure("train", "FloatingPointError: not finite", "")
+        write_record(tmp_path / "run", one.record, {})
+    found = check_claim(claim, evidence_of([tmp_path / "run"]))
+    assert found.verdict == UNDECIDED and "trainings failed, which this leaves out (1 of TDg)" in found.grounds
+    write_record(tmp_path / "again", cell(tmp_path / "cells", "tdg", 1.0, scene="d").record, {})
+    assert check_claim(claim, evidence_of([tmp_path / "run", tmp_path / "again"])).verdict == HOLDS
 
 
 def test_the_longest_trainings_decide(tmp_path):

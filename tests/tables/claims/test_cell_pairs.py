@@ -53,7 +53,7 @@ def test_a_cell_of_two_experiments_counts_once(tmp_path):
 
 
 def test_the_interval_is_over_scenes_each_by_its_mean():
-    scenes = [("d", s) for s in "aabbcc"]
+    scenes = [("d", s, seed) for s in "abc" for seed in (0, 1)]
     gains = [1.0, 3.0, 2.0, 6.0, 0.0, 0.0]
     found = gain_interval(scenes, gains)
     by_scene = [2.0, 4.0, 0.0]
@@ -64,7 +64,9 @@ def test_the_interval_is_over_scenes_each_by_its_mean():
 def test_with_one_scene_the_interval_is_over_its_seeds():
     gains = [1.0, 2.0, 4.0]
     low, high = stats.t.interval(0.95, 2, np.mean(gains), stats.sem(gains))
-    assert gain_interval([("d", "a")] * 3, gains) == pytest.approx((np.mean(gains), low, high, 3, 1))
+    assert gain_interval([("d", "a", seed) for seed in range(3)], gains) == pytest.approx(
+        (np.mean(gains), low, high, 3, 1)
+    )
 
 
 @pytest.mark.parametrize(
