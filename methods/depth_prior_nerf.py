@@ -25,6 +25,7 @@ from tdgbench.fields.volume import transmittance_of
 from tdgbench.priors import DepthPrior
 from tdgbench.scenes import View
 from tdgbench.training.context import Context
+from tdgbench.training.part import Part, Report
 from tdgbench.training.rays import RayBatch
 
 
@@ -41,11 +42,17 @@ class DepthPriorNeRF(ThermoNeRF):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.needs_prior = self.lambda_depth > 0
+        self.deviations: dict[str, float] = {}  # by view, world units
+
+    def setup(self, context: Context) -> None:
+        super().setup(context)
+        if self.deviations:
+            context.add_part("depth_prior", Deviations([*self.deviations.values()]))
 
     def maps(self, context: Context) -> dict[str, Callable[[View], Tensor]]:
         if not self.needs_prior:
             return {}
-        scene, depths, deviations = context.scene, dict[str, DepthPrior](), dict[str, float]()
+        scene, depths, deviations = context.scene, dict[str, DepthPrior](), self.deviations
         if context.priors:  # where a stored cell is rendered again, there are none
             depths = metric_depths(scene, context.priors, self.occlusion)
             for view in scene.train:
@@ -69,6 +76,17 @@ class DepthPriorNeRF(ThermoNeRF):
         depth, spread = (prior / unit).unbind(dim=1)
         loss = depth_loss(mean, variance + self.added_variance, depth, spread, self.least_variance)
         return {"depth": self.lambda_depth * loss}
+
+
+class Deviations(Part):
+    """Says how far the priors are from the sparse points: where a ray is nearer, the loss is 0."""
+
+    def __init__(self, of_views: list[float]) -> None:
+        """of_views: world units."""
+        self.of_views = of_views
+
+    def report(self) -> Report:
+        return {"deviation_mean": float(np.mean(self.of_views)), "deviation_largest": max(self.of_views)}
 
 
 def local_range(depth: np.ndarray) -> np.ndarray:

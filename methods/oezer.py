@@ -33,9 +33,17 @@ from tdgbench.fields.volume import composited, transmittance_of, weights_of
 from tdgbench.scenes import Camera, TemperatureRange
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
-from tdgbench.training.field_method import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
-from tdgbench.training.method import Share, Stage, Step
-from tdgbench.training.part import Network, Part, Rate, State
+from tdgbench.training.field_method import (
+    DIRECTIONS,
+    FEATURES,
+    CoarsestAndFinest,
+    FieldMethod,
+    FieldNetwork,
+    PlacedField,
+    Rendered,
+)
+from tdgbench.training.method import FirstAndLast, Share, Stage, Step
+from tdgbench.training.part import Part, Rate, Report, State
 
 FULL_UPDATES = 16  # of all cells of the occupancy grid; then half of them: renderer.py, `update_extra_state`
 POINTS_OF_RAY = 64  # 2^18 points of a step with 4 096 rays at first: main.py, num_points and num_rays
@@ -98,19 +106,23 @@ class RayCount(Part):
         """rays: of the first step."""
         self.points, self.most, self.rays = POINTS_OF_RAY * rays, MOST_RAYS * rays, rays
 
+    def report(self) -> Report:
+        return {"rays": self.rays}
+
     def note(self, points: int) -> None:
         """Take the number of samples of a step, and choose the rays of the next one."""
         wanted = round(self.rays * self.points / max(points, 1))
         self.rays = min(max(wanted, 1), self.most)
 
 
-class AveragedNetwork(Network):
+class AveragedNetwork(FieldNetwork):
     """A field with its optimiser, and a moving average of its weights, which renders (torch_ema, after each epoch).
 
     The average has the occupancy grid and the region of the field itself.
     """
 
     before = 0  # iterations of the stages before this one
+    module: InstantField
 
     def __init__(self, field: InstantField, rate: Rate, factor: float, planned: int, iterations: int) -> None:
         """factor: of the average at an epoch, smaller at first. planned: epochs in the iterations of all stages."""
@@ -144,6 +156,11 @@ class AveragedNetwork(Network):
 
     def load_rendering_state(self, saved: State) -> None:
         self.average.load_state_dict(saved["module"] | saved.get("average", {}))
+        self.average.check_place()
+
+    def report(self) -> Report:
+        occupied = self.module.occupancy.occupied_share()
+        return {**super().report(), "occupied": occupied, "zero_degC_at": float(self.module.zero)}
 
 
 @dataclass
@@ -157,10 +174,10 @@ class InstantThermal(FieldMethod):
     learns_degC = True  # thermal values are temperatures over the largest one, else those of the image
     thermal_weight, zero = 1.0, 0.0
 
-    rates: list[PositiveFloat]  # first and last; they fall log-linearly
+    rates: FirstAndLast  # first and last; they fall log-linearly
     rate_end: Share  # of all iterations; the last rate is reached there, and stays
     levels: PositiveInt
-    cells: list[PositiveInt]  # of the coarsest and the finest level, along an axis of four units
+    cells: CoarsestAndFinest  # of the coarsest and the finest level, along an axis of four units
     layers: PositiveInt  # hidden ones of the density's network
     width: PositiveInt  # of these
     head_layers: PositiveInt
@@ -174,10 +191,13 @@ class InstantThermal(FieldMethod):
     near_percentile: Annotated[float, Field(ge=0, le=100)]  # of the depths of a view's points: it shows nothing nearer
 
     def place_in(self, region: Region, points: np.ndarray, cameras: Sequence[Camera]) -> None:
-        """Also leave cells empty outside of the points' box, or that no camera shows (`mark_untrained_grid`)."""
+        """Also leave cells empty outside of the points' box, or that no camera shows (`mark_untrained_grid`).
+
+        Random points have no box.
+        """
         middle, largest = np.array(region.center), self.bound * region.radius
-        box = np.stack([points.min(axis=0), points.max(axis=0)]).clip(middle - largest, middle + largest)
-        nears = []
+        ends = [points.min(axis=0), points.max(axis=0)] if self.has_measured_points else [[-np.inf] * 3, [np.inf] * 3]
+        box, nears = np.stack(ends).clip(middle - largest, middle + largest), []
         for camera in cameras:
             pixels, z = camera.project(points)
             shown = z[camera.holds(pixels, z)]

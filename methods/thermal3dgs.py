@@ -23,7 +23,7 @@ from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import l1_and_dssim
-from tdgbench.training.method import Frame, Method, Share, Step
+from tdgbench.training.method import FirstAndLast, Frame, Method, Share, Step
 from tdgbench.training.part import Network, State
 
 HARRIS = 0.04  # find_corners
@@ -105,8 +105,8 @@ class Thermal3DGS(Method):
     corner_end: Share  # of all iterations
     transmission: bool  # whether there is such a network
     conduction: bool
-    transmission_rates: list[PositiveFloat]  # first and last; they fall log-linearly, as the position rate does
-    conduction_rates: list[PositiveFloat]
+    transmission_rates: FirstAndLast  # first and last; they fall log-linearly, as the position rate does
+    conduction_rates: FirstAndLast
     position_unit: PositiveFloat | None  # world units; None: the scene's extent
 
     def setup(self, context: Context) -> None:

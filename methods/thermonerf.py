@@ -34,9 +34,17 @@ from tdgbench.fields.volume import composited
 from tdgbench.scenes import View
 from tdgbench.splats.view import Render
 from tdgbench.training.context import Context
-from tdgbench.training.field_method import DIRECTIONS, FEATURES, FieldMethod, PlacedField, Rendered
-from tdgbench.training.method import Share, Step
-from tdgbench.training.part import Network, Part
+from tdgbench.training.field_method import (
+    DIRECTIONS,
+    FEATURES,
+    CoarsestAndFinest,
+    FieldMethod,
+    FieldNetwork,
+    PlacedField,
+    Rendered,
+)
+from tdgbench.training.method import FirstAndLast, Share, Step
+from tdgbench.training.part import Part
 from tdgbench.training.rays import RayBatch
 
 NERFACTO_EXTENT = DisparitySpacing(0.05, 1000.0, 1.0).extent  # of its samples, near to far, in its distortion loss
@@ -149,10 +157,10 @@ class ThermoNeRF(FieldMethod):
     lambda_thermal: NonNegativeFloat
     lambda_interlevel: NonNegativeFloat
     lambda_distortion: NonNegativeFloat
-    rates: list[PositiveFloat]  # first and last; they fall log-linearly
+    rates: FirstAndLast  # first and last; they fall log-linearly
     rate_end: PositiveFloat  # where the last one is reached, as a multiple of all iterations
     levels: PositiveInt
-    cells: list[PositiveInt]  # of the coarsest and the finest level, along an axis
+    cells: CoarsestAndFinest  # of the coarsest and the finest level, along an axis
     width: PositiveInt  # of the networks
     initial_density: PositiveFloat  # per radius of the region
     appearance: PositiveInt  # numbers of a view
@@ -170,7 +178,8 @@ class ThermoNeRF(FieldMethod):
     def setup(self, context: Context) -> None:
         size = self.begin_field(context)
         if len(size.samples) > 1 + len(self.proposal_finest):
-            raise ValueError(f"budget.field.samples names {len(size.samples) - 1} proposals, the method has fewer")
+            known = f"method.method.proposal_finest has {len(self.proposal_finest)}"
+            raise ValueError(f"budget.field.samples names {len(size.samples) - 1} proposals, {known}")
         generator, scene = torch.Generator().manual_seed(context.seed), context.scene
         grid = partial(GridOptions, coarsest=self.cells[0], initial_density=self.initial_density)
         rows, first = min(self.proposal_log2_rows, size.log2_rows), 1 + len(self.proposal_finest) - len(size.samples)
@@ -183,7 +192,7 @@ class ThermoNeRF(FieldMethod):
         module = ThermalField(Sampler(proposals, size.samples), density, thermal, colour).to(context.device)
         self.iterations = context.budget.schedule_length
         rate = falling(self.rates, max(1, round(self.rate_end * self.iterations)))
-        context.add_part("field", Network(module, rate, FieldAdam))
+        context.add_part("field", FieldNetwork(module, rate, FieldAdam))
         self.field = module
         self.batches = context.rays(self.modalities, maps=self.maps(context))
         self.jitter = context.random("jitter")

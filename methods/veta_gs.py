@@ -23,7 +23,7 @@ from tdgbench.splats.view import GaussianTensors, Pinhole, Render
 from tdgbench.training.context import Context
 from tdgbench.training.images import THERMAL
 from tdgbench.training.losses import l1_and_dssim, photometric
-from tdgbench.training.method import Frame, Method, Share, Step
+from tdgbench.training.method import FirstAndLast, Frame, Method, Share, Step
 from tdgbench.training.part import Network
 
 LOW, HIGH = 100, 200  # Canny's thresholds: utils/loss_utils.py, lines 107 and 108
@@ -101,8 +101,8 @@ class VetaGS(Method):
     warm_up: Share  # of all iterations
     time_noise: NonNegativeFloat  # at the start, × the time between the views that are left in a round
     time_noise_end: Share  # of all iterations
-    deformation_rates: list[PositiveFloat]  # first and last, log-linear
-    feature_rates: list[PositiveFloat]
+    deformation_rates: FirstAndLast  # first and last, log-linear
+    feature_rates: FirstAndLast
     position_unit: PositiveFloat | None  # world units; None: the scene's extent
 
     def setup(self, context: Context) -> None:

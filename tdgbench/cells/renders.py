@@ -30,6 +30,7 @@ from tdgbench.tensors import load_tensors
 from tdgbench.thermal import ImageResponse, read_response
 from tdgbench.training.budget import RULES, Budget
 from tdgbench.training.method import Context, Frame
+from tdgbench.training.part import Report
 from tdgbench.training.splat_model import SplatModel
 from tdgbench.training.trainer import Trainer
 
@@ -91,6 +92,10 @@ class StoredMethod:
             raise ValueError(f"{folder / PARTS_FILE} does not hold the parts of {record.method}: {error}") from error
         self._trainer = trainer
 
+    def reports(self) -> dict[str, Report]:
+        """Return what its parts say of themselves, as they were stored."""
+        return self._trainer.reports()
+
     @property
     def modalities(self) -> tuple[str, ...]:
         """The modalities that the method renders."""
@@ -106,7 +111,10 @@ class StoredMethod:
 
 
 class MethodInTraining(StoredMethod):
-    """The method of a cell in training as a checkpoint has it. models: the Gaussians by name."""
+    """The method of a cell in training as a checkpoint has it.
+
+    models: the Gaussians by name. stage_modality: what the stage trains for.
+    """
 
     def __init__(self, checkpoint: Path, record: Record, cameras: Cameras) -> None:
         """Raises ValueError, naming file or method, if it cannot be restored, FileNotFoundError if it is not there."""
@@ -123,6 +131,7 @@ class MethodInTraining(StoredMethod):
                 elif part.needed_to_render:
                     part.load_rendering_state(saved["parts"][name])
             self.iterations: int = saved["log"]["iterations"]
+            self.stage_modality = trainer.stages[saved["stage"]].modality
         except FileNotFoundError:
             raise
         except (Exception, SystemExit) as error:  # parts of a user's method may raise anything

@@ -13,16 +13,20 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from tdgbench.bench.failures import message
+from tdgbench.bench.options import OptionError
 from tdgbench.bench.setup import loader_of
+from tdgbench.bench.signature import Problem
 from tdgbench.cells.paths import prior_cache
 from tdgbench.experiments.matrix import Axes, AxisValue, Matrix, MatrixCell, MatrixOptions, groups_of, values_of
 from tdgbench.experiments.prior_accuracy import Accuracy, PriorErrors, measure_prior, source
 from tdgbench.splats.cpu import pool
+from tdgbench.tables.methods import label, paper_pair
 from tdgbench.tables.palette import IMAGES
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 
-NONE = "none"  # TDg without its depth loss
+NONE = "none"  # the method without its depth loss
+OF_TDG = "3dgs_smooth"  # which TDg is without
 _SCORES = ("psnr", "ssim", "lpips", "depth_abs_rel")
 _SHOWN = {  # on the terminal: title, format
     "prior": ("prior", "{}"),
@@ -55,7 +59,7 @@ class Priors(Matrix):
 
     def __init__(self) -> None:
         self.measured: dict[str, MeasuredScene] = {}
-        self.failed = 0  # scenes
+        self.failed, self.label = 0, ""  # scenes; the method
 
     def run(self, cfg: DictConfig) -> None:
         """Measure the priors, run the cells that have no result, write and print the tables.
@@ -68,14 +72,15 @@ class Priors(Matrix):
 
     def axes(self, cfg: DictConfig) -> Axes:
         """Measure the priors. Return the scenes that could be read, TDg without depth and with each prior, seeds."""
+        without = AxisValue(NONE, {"method": without_prior(cfg)}, f"prior={NONE}")
         pool.set_threads(cfg.threads)
+        self.label = label(str(cfg.method.name))
         for name in cfg.study.scenes:
             try:
                 self._measure(cfg, name)
             except Exception as error:  # such as a network's for lack of memory; the other scenes are measured
                 say(message(error), "failed:")
                 self.failed += 1
-        without = AxisValue(NONE, {"method": without_prior(cfg)}, f"prior={NONE}")
         return {
             "scene": values_of("scene", self.measured),
             "prior": [without, *groups_of("prior", cfg.study.priors, variant="prior")],
@@ -136,14 +141,22 @@ class Priors(Matrix):
     def show(self, table: pd.DataFrame) -> None:
         for scene, rows in table.groupby("scene", sort=False):
             truth = next((text for text in rows["truth"] if text), "nothing")
-            show_table(format_columns(rows, _SHOWN), f"{scene}: depth priors against {truth}, and TDg with each")
+            show_table(
+                format_columns(rows, _SHOWN), f"{scene}: depth priors against {truth}, and {self.label} with each"
+            )
         for reason in reasons(table):
             say(reason, "n/a:", "yellow")
 
 
 def without_prior(cfg: DictConfig) -> DictConfig:
-    """Return the method without a prior, with the options and the length that the one with priors has, too."""
-    without, options = cfg.study.without.copy(), cfg.method.method
+    """Return the method without a prior, with the options and the length that the one with priors has, too.
+
+    Raises OptionError for a method that is no variant of TDg beside TDg's own.
+    """
+    without, options, name = cfg.study.without.copy(), cfg.method.method, str(cfg.method.name)
+    if without.name == OF_TDG and name.partition("_")[0] != paper_pair().method:
+        what = f"is TDg without depth; choose what {label(name)} is without: method@study.without=NAME"
+        raise OptionError([Problem("study.without", what, OF_TDG)])
     for name in without.method:
         if name in options and name != "_target_":
             without.method[name] = options[name]

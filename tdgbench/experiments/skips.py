@@ -141,22 +141,24 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
     one over that with all. psnr_worst, ssim_worst: change by this skip alone, against no skip, on the scene where it
     is worst (mean over seeds). psnr_error, ssim_error: standard error of that mean (NaN for one seed). default_may_be:
     `on` if no scene loses more than MAX_LOSS, `off` if one does, each by two standard errors; else, also where one seed
-    has a change, `undecided`. All of these are n/a if a cell is missing, the last one where the skip was not taken.
+    has a change, `undecided`. All of these are n/a if a cell is missing; ratios and `default_may_be`, also where the
+    skip was not taken: a ratio of equal trainings is noise.
     """
     rows, places = [], {*zip(table["scene"], table["seed"], strict=True)}
     for name, variant in (*((name, ALONE.format(name)) for name in names), (TOGETHER, ALL)):
         psnr, psnr_error, of_psnr = _worst(table, variant, "psnr", places)
         ssim, ssim_error, of_ssim = _worst(table, variant, "ssim", places)
         taken = "" if variant == ALL else _taken(table, variant, name)
+        is_none = taken == NOWHERE or (variant == ALL and not any(table.loc[table["variant"] == ALL, TAKEN]))
         verdict = next((one for one in (NA, "off", UNDECIDED) if one in (of_psnr, of_ssim)), "on")
         rows.append(
             {
                 "skip": name, "taken_on": taken, "scenes": table["scene"].nunique(), "seeds": table["seed"].nunique(),
-                "faster_alone": _ratio(table, NONE, variant),
-                "slower_without": _ratio(table, WITHOUT.format(name), ALL),
-                "memory_alone": _ratio(table, NONE, variant, "peak_rss_mb"),
+                "faster_alone": np.nan if is_none else _ratio(table, NONE, variant),
+                "slower_without": np.nan if is_none else _ratio(table, WITHOUT.format(name), ALL),
+                "memory_alone": np.nan if is_none else _ratio(table, NONE, variant, "peak_rss_mb"),
                 "psnr_worst": psnr, "psnr_error": psnr_error, "ssim_worst": ssim, "ssim_error": ssim_error,
-                "default_may_be": NA if taken == NOWHERE else verdict,
+                "default_may_be": NA if is_none else verdict,
             }
         )  # fmt: skip
     return pd.DataFrame(rows)

@@ -24,6 +24,10 @@ class GridOptions:
     initial_density: float  # of the untrained field, about, per radius of the region
     layers: int = 1  # hidden ones of the network
 
+    def __post_init__(self) -> None:
+        if self.finest < self.coarsest:
+            raise ValueError(f"the finest level has {self.finest} cells along an axis, the coarsest {self.coarsest}")
+
 
 class DensityField(nn.Module):
     """Density of a position, per radius of the region, with features for the networks of colours (Müller et al. 2022).

@@ -35,12 +35,18 @@ class OccupancyGrid(nn.Module):
     def occupied(self, contracted: Tensor) -> Tensor:
         """Return whether the cells of positions (N, 3) in [0, 1) are occupied, bool (N,)."""
         x, y, z = (contracted * self.cells).long().unbind(dim=1)
-        threshold = self.densities.clamp_min(0).mean().clamp(max=LARGEST_THRESHOLD)
-        return (self.densities > threshold)[x + self.cells * (y + self.cells * z)]
+        return (self.densities > self._threshold())[x + self.cells * (y + self.cells * z)]
+
+    def occupied_share(self) -> float:
+        """Return the share of all cells that are occupied."""
+        return float((self.densities > self._threshold()).float().mean())
 
     def leave_empty(self, cells: Tensor) -> None:
         """Leave cells empty from now on, whatever the field says. cells: bool (cells³,), x first."""
         self.densities[cells] = -1.0
+
+    def _threshold(self) -> Tensor:
+        return self.densities.clamp_min(0).mean().clamp(max=LARGEST_THRESHOLD)
 
     @torch.no_grad()
     def update(self, density_of: Callable[[Tensor], Tensor], generator: torch.Generator, everywhere: bool) -> None:

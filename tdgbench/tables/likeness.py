@@ -38,6 +38,10 @@ OWN = {  # options of budgets that a method's file states, by which key; their v
     "budget.density.gradient": ("gradient", "signed"),
     "budget.density.grad_threshold": ("grad_threshold", 2.0e-4),
 }
+OF_GAUSSIANS = (  # options of budgets that radiance fields do not read
+    "gaussians", "sh_degree", "sh_every", "background", "lift_dark_every", "rates", "density", "harmonics", "points",
+    "growth",
+)  # fmt: skip
 BUSY = 1.25  # wall time of a training, in its processor time, above which other work ran
 IGNORED = ("_target_", "seed", "convention")  # last part of an option's name
 # of what other programs made: where it lies
@@ -329,7 +333,21 @@ def _traits_of(record: Record) -> dict[str, object]:
         "range, °C": " to ".join(f"{end:g}" for end in record.temperature_range or ()),
         **({} if record.made_elsewhere else _of_machine(record)),  # the times of others are n/a
     }  # fmt: skip
-    return traits | {name: value for name, value in others.items() if value}
+    found = traits | {name: value for name, value in others.items() if value}
+    return {name: value for name, value in found.items() if not _is_unread(name, record)}
+
+
+def _is_unread(name: str, record: Record) -> bool:
+    """Return whether a method reads no such option: those of Gaussians without these, those of a field beside them.
+
+    Without Gaussians, `cpu` and `reference` are one, too.
+    """
+    if not record.parts:  # it failed, or was made elsewhere
+        return False
+    if record.gaussians:
+        return name.startswith("budget.field.")
+    is_of_gaussians = name.startswith("budget.") and name.split(".")[1] in OF_GAUSSIANS
+    return is_of_gaussians or (name == "backend" and record.backend in ON_CPU)
 
 
 def _of_machine(record: Record) -> dict[str, object]:

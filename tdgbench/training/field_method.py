@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from pydantic import Field, PositiveInt
 from torch import Tensor, nn
 
 from tdgbench.fields import DensityField, Rays, Region, image_rays, rays_of, region_of
@@ -17,11 +18,13 @@ from tdgbench.splats.view import Pinhole, Render
 from tdgbench.training.budget import Budget, FieldSize
 from tdgbench.training.context import Context
 from tdgbench.training.method import Frame, Method
+from tdgbench.training.part import Network, Report, State
 from tdgbench.training.warmup import compile_field_kernels
 
 FEATURES = 15  # of the density network, for the heads; geo_feat_dim of nerfacto, network.py of torch-ngp
 DIRECTIONS = 16  # harmonics up to degree 3
 TIMED = 4096  # positions
+CoarsestAndFinest = Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]  # level of a hash grid
 
 
 @dataclass
@@ -57,6 +60,31 @@ class PlacedField(nn.Module):
         """Whether the region is known."""
         return self.region.radius > 0
 
+    def check_place(self) -> None:
+        """Raise ValueError for the region of a broken file."""
+        region = self.region
+        if not (
+            np.isfinite([*region.center, *region[1:]]).all() and region.radius > 0 and 0 < region.near < region.far
+        ):
+            raise ValueError(f"its region of the world is none: {region}")
+
+
+class FieldNetwork(Network):
+    """A field with its optimiser; it reports where the field is placed."""
+
+    module: PlacedField
+
+    def load_rendering_state(self, saved: State) -> None:
+        super().load_rendering_state(saved)
+        self.module.check_place()
+
+    def report(self) -> Report:
+        if not self.module.is_placed:
+            return super().report()
+        region = self.module.region
+        place: Report = {"center": [*region.center], "unit": region.radius, "near": region.near, "far": region.far}
+        return {**super().report(), **place}
+
 
 class FieldMethod(Method):
     """A method whose `field` renders rays: its kernels, its place, its images.
@@ -73,6 +101,7 @@ class FieldMethod(Method):
     region_is_cube = False  # else a ball
 
     field: Any  # a PlacedField
+    has_measured_points: bool  # else those that place it are random
     size: FieldSize
 
     def rendered(self, rays: Rays, modality: str) -> Rendered:
@@ -92,11 +121,21 @@ class FieldMethod(Method):
         compile_field_kernels(backend)
 
     def begin_field(self, context: Context) -> FieldSize:
-        """Note the size of the field, and what it is placed by; return the size. Raises ValueError if there is none."""
+        """Note the size of the field, and what it is placed by; return the size. Raises ValueError if there is none.
+
+        It is placed by the initial points, or by the scene's where these are random.
+        """
         if context.budget.field is None:
             raise ValueError("the budget lacks `field`, the size of a radiance field; see conf/budget/paper.yaml")
+        if context.budget.gaussians is not None:
+            raise ValueError(
+                f"a radiance field has no Gaussians: leave out budget.gaussians={context.budget.gaussians}"
+            )
         self.size = context.budget.field
-        self._points = context.points.points
+        cloud, known = context.points, context.scene.points
+        if not cloud.is_measured and known is not None and len(known.points):
+            cloud = known
+        self._points, self.has_measured_points = cloud.points, cloud.is_measured
         self._cameras = [view.camera for view in context.scene.train]
         return self.size
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
 
 import torch
-from pydantic import Field
+from pydantic import Field, PositiveFloat
 from torch import Tensor
 
 from tdgbench.scenes import Scene
@@ -19,9 +19,10 @@ from tdgbench.training.images import MODALITIES
 from tdgbench.training.splat_model import SplatModel
 from tdgbench.training.warmup import compile_kernels
 
-__all__ = ["Context", "Frame", "Method", "Share", "SmoothnessReading", "Stage", "Step"]
+__all__ = ["Context", "FirstAndLast", "Frame", "Method", "Share", "SmoothnessReading", "Stage", "Step"]
 
 Share = Annotated[float, Field(ge=0, le=1)]
+FirstAndLast = Annotated[list[PositiveFloat], Field(min_length=2, max_length=2)]  # rates, which fall log-linearly
 SmoothnessReading = Literal["written", "released"]  # see `tdgbench.training.losses.smoothness`
 
 

@@ -63,6 +63,7 @@ def check_cell(cell: CellFolder, text: str, problems: Problems, weights: Path | 
     if log is not None:
         problems.check(LOG_FILE, record_problems.log_problems, record, log)
     problems.check("its models", record_problems.model_problems, cell)
+    problems.check("its parameters", record_problems.parameter_problems, cell)
     problems.check("scores of training views", record_problems.train_score_problems, record)
     if rows is not None:
         problems.check(f"means of {VIEWS_FILE}", mean_problems, record, rows)

@@ -105,4 +105,4 @@ def _render_problems(
         depths[view] = render.expected_depth
     problem = difference_of(stored, again)
     if problem:
-        yield f"{path} is not what {files.model} gives: {problem}"
+        yield f"{path} is not what {PARTS_FILE if cell.has_parts else files.model} gives: {problem}"

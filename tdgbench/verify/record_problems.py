@@ -10,7 +10,7 @@ from tdgbench.cells.cameras import Cameras
 from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.key import cell_key
 from tdgbench.cells.metric_settings import metric_settings
-from tdgbench.cells.paths import CAMERAS_FILE, LOG_FILE, RECORD_FILE, VIEWS_FILE, cell_folder_of, files_of
+from tdgbench.cells.paths import CAMERAS_FILE, LOG_FILE, PARTS_FILE, RECORD_FILE, VIEWS_FILE, cell_folder_of, files_of
 from tdgbench.cells.protocol import protocol_of
 from tdgbench.cells.record import Record, schema_problems
 from tdgbench.scenes.modalities import THERMAL
@@ -94,6 +94,20 @@ def model_problems(cell: CellFolder) -> Iterator[str]:
                 yield f"{RECORD_FILE}: gaussians has {count} for {name}, which holds {rows}"
         except (OSError, ValueError) as error:
             yield f"{name} cannot be read: {error}"
+
+
+def parameter_problems(cell: CellFolder) -> Iterator[str]:
+    """Check the recorded numbers of parameters against those of stored parts, where there are any."""
+    if not cell.has_parts:
+        return
+    try:
+        stored = cell.method().reports()
+    except ValueError:
+        return  # renders cannot be made either, which is said there
+    for name in sorted({*stored, *cell.record.parts}):
+        found, stated = (dict(one.get(name, {})).get("parameters") for one in (stored, cell.record.parts))
+        if name in stored and found != stated:
+            yield f"{RECORD_FILE}: parts.{name}.parameters is {stated}, {PARTS_FILE} has {found}"
 
 
 def train_score_problems(record: Record) -> Iterator[str]:

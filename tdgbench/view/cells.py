@@ -204,8 +204,8 @@ class Follower:
             cell = CellFolder(folder, record)
             cameras = cell.cameras
             method = MethodInTraining(paths[folder], record, cameras)
-            if method.models and THERMAL not in method.models:
-                raise ValueError(f"{record.title}: iteration {method.iterations:,}, no thermal Gaussians yet")
+            if method.stage_modality != THERMAL:
+                raise ValueError(f"{record.title}: iteration {method.iterations:,}, not trained on thermal images yet")
             count, at = sum(map(len, method.models.values())), time.localtime(written[folder] / 1e9)
             state = f"iteration {method.iterations:,}{_counted(count)} at {time.strftime('%H:%M:%S', at)}"
             self._cell = ViewedCell(cell, method.models, cameras["train"], cameras["test"], method, state)

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tdgbench.bench.options import OptionError
 from tdgbench.cells.record import read_all
 from tdgbench.experiments.priors import Priors, without_prior
 from tests.helpers.command import command_here
@@ -67,6 +68,13 @@ def test_without_a_prior_all_else_is_as_with_one():
     assert without.method.name == "3dgs_smooth" and without.budget.iterations == cfg.budget.iterations == 10_000
     assert (without.method.method.lambda_smooth, without.method.method.smoothness_reading) == (0.1, "released")
     assert cfg.study.without.method.lambda_smooth == 0.6
+
+
+def test_another_method_needs_its_own_training_without_a_prior():
+    with pytest.raises(OptionError, match=r"choose what Depth-prior NeRF is without: method@study.without=NAME"):
+        without_prior(config("+experiment=priors", "method=depth_prior_nerf"))
+    cfg = config("+experiment=priors", "method=depth_prior_nerf", "method@study.without=thermonerf_thermal")
+    assert without_prior(cfg).name == "thermonerf_thermal"
 
 
 @pytest.mark.slow

@@ -219,6 +219,25 @@ def test_nothing_is_before_the_points_of_all_views_or_outside_of_their_box(small
     assert not occupied(1e3 * np.abs(points).max() / z).any()
 
 
+def test_random_points_have_no_box(small_gray_scene):
+    """Of a scene without points, what lies behind random ones may be occupied."""
+    method = ready_to_train(replace(small_gray_scene, points=None), "oezer_scratch", 60, *SIZE, "init=random").method
+    method.place()
+    region, points, camera = method.field.region, method._points, small_gray_scene.train[0].camera
+    away = 0.75 * method.bound * region.radius * camera.world_to_camera[2, :3]
+    beyond = np.array(region.center) + away
+    assert not method.has_measured_points and ((beyond < points.min(axis=0)) | (beyond > points.max(axis=0))).any()
+    occupancy = method.field.occupancy
+    occupancy.update(lambda positions: torch.full((len(positions),), 100.0), torch.Generator(), everywhere=True)
+    assert occupancy.occupied(region.contracted(torch.from_numpy(beyond)[None])).all()
+
+
+def test_the_record_has_what_it_was_trained_by(trainers):
+    reports = trainers["oezer_scratch"].reports()
+    assert 0 < reports["field"]["occupied"] < 1 and reports["ray_count"]["rays"] >= 1
+    assert reports["field"]["zero_degC_at"] == pytest.approx(trainers["oezer_scratch"].method.zero)
+
+
 def test_cameras_that_only_turn_are_no_unit_and_a_scene_beyond_the_bound_is_refused(small_gray_scene):
     method = ready_to_train(small_gray_scene, "oezer_scratch", 60, *SIZE).method
     points, camera = small_gray_scene.points.points, small_gray_scene.train[0].camera

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import copy
+import json
+import shutil
 
 import numpy as np
 import pytest
 import torch
 
 from methods.thermonerf import ProposalTurns
+from tdgbench.bench.options import OptionError, check_options
 from tdgbench.cells.folder import CellFolder
 from tdgbench.cells.read_files import read_picture
 from tdgbench.cells.record import read_record
@@ -23,6 +26,7 @@ from tdgbench.view.cells import open_cells
 from tdgbench.view.export import export
 from tdgbench.view.renderer import Look, Renderer
 from tests.helpers.cells import small_cells
+from tests.helpers.configs import config
 from tests.helpers.exact import check_against_exact
 from tests.helpers.training import digest_of_all, ready_to_train
 
@@ -119,11 +123,59 @@ def test_the_rate_ends_where_the_authors_training_ends(small_gray_scene):
 
 @pytest.mark.parametrize(
     ("overrides", "message"),
-    [(["budget.field=null"], "the budget lacks `field`"), (["budget.field.samples=[8,8,8,8]"], "names 3 proposals")],
+    [
+        (["budget.field=null"], "the budget lacks `field`"),
+        (["budget.field.samples=[8,8,8,8]"], "names 3 proposals, method.method.proposal_finest has 2"),
+        (["budget.gaussians=100"], "a radiance field has no Gaussians"),
+        (["method.method.cells=[2048,16]"], "the finest level has 256 cells along an axis, the coarsest 2048"),
+    ],
 )
 def test_a_budget_that_does_not_fit_is_told(small_gray_scene, overrides, message):
     with pytest.raises(ValueError, match=message):
         ready_to_train(small_gray_scene, "thermonerf_thermal", 3, *overrides)
+
+
+@pytest.mark.parametrize("given", ["rates=[1e-2]", "rates=[1e-2,1e-3,1e-4]", "cells=[16]", "cells=[16,64,2048]"])
+def test_a_list_that_is_no_pair_is_refused(given):
+    with pytest.raises(OptionError, match=given.partition("=")[0]):
+        check_options(config("method=thermonerf", f"method.method.{given}"))
+
+
+@pytest.mark.parametrize("name", ["thermonerf_thermal", "oezer_scratch"])
+def test_random_points_place_no_field_where_the_scene_has_points(small_gray_scene, name):
+    placed = []
+    for init in ("colmap", "random"):
+        method = ready_to_train(small_gray_scene, name, 3, *SIZE, f"init={init}").method
+        method.place()
+        placed.append(method.field.state_dict())
+    assert all(torch.equal(a, b) for a, b in zip(*(one.values() for one in placed), strict=True))
+
+
+def test_a_record_says_where_the_field_is(folder):
+    field = read_record(folder).parts["field"]
+    assert 0 < field["near"] < field["far"] and field["unit"] > 0 and len(field["center"]) == 3
+
+
+@pytest.mark.parametrize("number", [0.0, float("nan")])
+def test_a_broken_place_is_refused(folder, tmp_path, number):
+    broken = shutil.copytree(folder, tmp_path / "broken")
+    states = load_tensors(broken / "parts.pt")
+    states["field"]["module"]["region_numbers"].fill_(number)
+    torch.save(states, broken / "parts.pt")
+    with pytest.raises(ValueError, match="does not hold the parts of thermonerf: its region of the world is none"):
+        CellFolder(broken, read_record(broken)).method()
+
+
+def test_other_parameters_and_files_are_problems(folder, tmp_path):
+    other = shutil.copytree(folder, tmp_path / "other")
+    record = json.loads((other / "record.json").read_text())
+    record["parts"]["field"]["parameters"] = 5
+    (other / "record.json").write_text(json.dumps(record))
+    assert any("parts.field.parameters is 5, parts.pt has " in problem for problem in verify_cell(other))
+    states = load_tensors(other / "parts.pt")
+    states["field"]["module"]["thermal.last.bias"] += 0.5
+    torch.save(states, other / "parts.pt")
+    assert any("is not what parts.pt gives" in problem for problem in verify_cell(other))
 
 
 def test_what_is_stored_is_what_rendering_needs(folder):

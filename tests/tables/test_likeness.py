@@ -117,6 +117,25 @@ def test_what_is_a_method_s_own(tmp_path):
     assert not bold(tables) and AUTHORS_OWN in tables.notes
 
 
+def test_what_a_method_does_not_read_makes_it_no_other(tmp_path):
+    """Colours behind Gaussians beside a field, rays beside Gaussians, and what runs a field on the CPU."""
+
+    def of(background: str, rays: int, backend: str, **parts: object) -> dict[str, object]:
+        budget = {"name": "demo", "background": background, "field": {"rays": rays}, "density": {"start": rays}}
+        return {"config": {"budget": budget}, "backend": backend, **parts}
+
+    field, gaussians = {"parts": {"field": {"parameters": 9}}}, {"parts": {"thermal": {"gaussians": 9}}}
+    fields = {"3dgs": of("black", 512, "cpu", **gaussians), "tdg": of("black", 100, "cpu", **gaussians)}
+    fields["msmg"] = of("mean", 512, "reference", **field)
+    fields["tdg"]["config"]["budget"]["density"] = {"start": 512}
+    assert not run(tmp_path / "a", fields).notes
+    fields["msmg"] = of("black", 100, "cpu", **field)
+    notes = run(tmp_path / "b", fields).notes
+    assert not notes
+    fields["tdg"] = of("mean", 512, "cpu", **gaussians)
+    assert "unlike trainings: budget.background: black (3DGS), mean (TDg)" in run(tmp_path / "c", fields).notes
+
+
 def test_lengths_of_authors_are_those_of_the_budget_file():
     budget = OmegaConf.to_container(OmegaConf.load(conf_folder() / "budget" / "paper.yaml"), resolve=True)
     plain = {name: OmegaConf.select(OmegaConf.create(budget), name.removeprefix("budget.")) for name in OWN}

@@ -63,6 +63,31 @@ def test_the_state_is_that_of_the_training(method, more, tmp_path, data_root, mo
     assert list((experiment / "running").iterdir()) == []
 
 
+def test_a_stage_of_rgb_images_shows_no_temperatures(tmp_path, data_root, monkeypatch, capsys):
+    """Its network renders what it has not learnt yet."""
+    experiment, write_if_due, found = tmp_path / "single", Checkpoint.write_if_due, []
+
+    def write_and_look(self, log):
+        self._next = 0.0
+        write_if_due(self, log)
+        if log.iterations == 5:
+            with pytest.raises(KeyboardInterrupt):
+                follower.next(interrupted)
+        elif log.iterations == 10:
+            found.append(follower.next(pytest.fail)["single"])
+
+    monkeypatch.setattr(Checkpoint, "write_if_due", write_and_look)
+    experiment.mkdir()
+    follower = Follower(experiment)
+    small = ("budget.field.rays=32", "budget.field.samples=[8,8]", "budget.field.log2_rows=10")
+    cfg = config(
+        *QUICK, "method=oezer_finetune", "scene=turntable", f"data.root={data_root}", f"results={tmp_path}",
+        "checkpoint=0", *small,
+    )  # fmt: skip
+    assert run_quietly(cfg).status == "ok" and found[0].state.startswith("iteration 10")
+    assert "iteration 5, not trained on thermal images yet" in capsys.readouterr().out
+
+
 def test_a_training_that_cannot_be_announced_goes_on(tmp_path, data_root):
     (tmp_path / "single").mkdir()
     (tmp_path / "single" / "running").write_text("in the way")
