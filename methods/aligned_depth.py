@@ -112,7 +112,7 @@ def fit(source: np.ndarray, target: np.ndarray, weights: np.ndarray | None = Non
     last = len(order) - 1
     low, high = (order[min(int(len(order) * share), last)] for share in (PRUNED, 1.0 - PRUNED))
     kept = (target > low) & (target < high)
-    kept = kept if np.count_nonzero(kept) >= 2 else np.ones_like(kept)
+    kept = kept if np.count_nonzero(kept) >= MIN_POINTS else np.ones_like(kept)  # theirs always leave out two
     columns = np.stack([source[kept], np.ones(int(kept.sum()))], axis=1)
     wanted, weight = target[kept], (np.ones_like(target) if weights is None else weights)[kept]
     negative, best = np.zeros(len(wanted), bool), (np.inf, (0.0, 0.0))

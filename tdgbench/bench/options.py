@@ -34,6 +34,7 @@ from tdgbench.cells.prior_sources import PriorSource
 from tdgbench.cells.record import LARGEST
 from tdgbench.resources import conf_folder
 from tdgbench.scenes.modalities import LABELS
+from tdgbench.scoring.scored_view import CONVENTIONS, check_convention
 from tdgbench.splats.backends import backend_names
 from tdgbench.splats.density import GradientKind
 from tdgbench.text import meant
@@ -64,7 +65,7 @@ def check_options(cfg: DictConfig) -> None:
     plain, unresolved = _resolved(without_hydra(cfg))
     problems = unresolved or [
         *_model_problems(plain), *_unread(cfg, plain), *_object_problems(plain, ""), *impossible_numbers(plain, ""),
-        *_without_effect(plain["budget"]),
+        *_without_effect(plain["budget"]), *_misnamed(plain["metrics"]),
     ]  # fmt: skip
     first: dict[str, Problem] = {}
     for problem in problems:
@@ -329,6 +330,16 @@ def _without_effect(budget: Any) -> Iterator[Problem]:
     if last <= max(start, reset):
         what = f"prunes after the first opacity reset, at {reset}, but the last round is at {max(last, 0)}"
         yield Problem("budget.density.screen_radius_prune", what, True)
+
+
+def _misnamed(metrics: Any) -> Iterator[Problem]:
+    """Yield a convention of scores whose border or range is another one's."""
+    names = ("convention", "ssim_border", "lpips_range")
+    if isinstance(metrics, dict) and metrics.get("convention") in CONVENTIONS:
+        try:
+            check_convention(*(str(metrics.get(name)) for name in names))
+        except ValueError as error:
+            yield Problem("metrics.convention", f"states other scores ({error})", metrics["convention"])
 
 
 def _unread(cfg: DictConfig, plain: dict[str, Any]) -> Iterator[Problem]:

@@ -13,7 +13,7 @@ from tdgbench.cells.paths import RECORD_FILE
 from tdgbench.scoring import LPIPSOptions, Scorer
 from tdgbench.scoring.backbones import NAME_IT, Net, own_weights
 from tdgbench.scoring.lpips import Range
-from tdgbench.scoring.scored_view import Border, ConventionName
+from tdgbench.scoring.scored_view import Border, ConventionName, check_convention
 from tdgbench.text import shortened
 
 IGNORE = ConfigDict(extra="ignore", strict=True)
@@ -46,7 +46,9 @@ def metric_settings(metrics: Mapping[str, Any] | None) -> MetricSettings:
     ValueError: record.json: config.metrics.convention: Input should be '3dgs' or 'standard'
     """
     try:
-        return TypeAdapter(MetricSettings).validate_python(metrics)
+        found = TypeAdapter(MetricSettings).validate_python(metrics)
+        check_convention(found["convention"], found["ssim_border"], found["lpips_range"])
+        return found
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(["config.metrics", *(str(part) for part in first["loc"])])

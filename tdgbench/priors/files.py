@@ -63,6 +63,9 @@ class FilePrior:
         path, (width, height) = self._find(scene, view), (view.camera.width, view.camera.height)
         with _as_prior_error():
             is_array = path.suffix == ".npy"
+            if not is_array and self.kind == "metric":
+                what = "kind=metric is z in the scene's units, and a picture has levels: save .npy"
+                raise PriorError(f"{path}: {what}")
             values = read_array(path).astype(np.float32).squeeze() if is_array else _read_png(path)
             if values.ndim != 2:
                 raise PriorError(f"{path} has shape {values.shape}; a depth map is (H, W)")

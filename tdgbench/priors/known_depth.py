@@ -69,6 +69,12 @@ def doubts_of(priors: Mapping[str, DepthPrior], scene: Scene) -> Iterator[str]:
     ranks = {name: sign * _rank(priors[name].values, known[name]) for name in known}
     ranks = {name: rank for name, rank in ranks.items() if np.isfinite(rank) and _spread(known[name].z) > LEAST_SPREAD}
     if not ranks:
+        rank, count = _pooled_rank(priors, known)
+        if sign * rank < LEAST_RANK:
+            yield (
+                f"the depth prior, of kind {kind}, has a rank correlation of {sign * rank:.2f} with the depth of the "
+                f"{count} sparse points of all views: are its kind, its files' names and its orientation right?"
+            )
         return
     rank, where = float(np.median([*ranks.values()])), f"of the sparse points (median of {len(ranks)} views)"
     if rank < LEAST_RANK:
@@ -141,6 +147,23 @@ def _rank(values: np.ndarray, known: KnownDepth) -> float:
     if len(z) < FEWEST_POINTS or not np.ptp(found) or not np.ptp(z):
         return np.nan
     return float(np.corrcoef(_ranks(found), _ranks(z))[0, 1])
+
+
+def _pooled_rank(priors: Mapping[str, DepthPrior], known: Mapping[str, KnownDepth]) -> tuple[float, int]:
+    """Return the correlation of ranks within views, over the points of all views, and their number.
+
+    NaN of too few points, and of views that are all flat.
+    """
+    pairs = []
+    for name, one in known.items():
+        found = _at(priors[name].values, one)
+        found, z = found[np.isfinite(found)], one.z[np.isfinite(found)]
+        if len(z) > 1 and np.ptp(found) and np.ptp(z) and _spread(z) > LEAST_SPREAD:
+            pairs.append([(_ranks(each) - (len(z) + 1) / 2) / len(z) for each in (found, z)])
+    if sum(len(a) for a, _ in pairs) < FEWEST_POINTS:
+        return np.nan, 0
+    a, b = (np.concatenate(side) for side in zip(*pairs, strict=True))
+    return float(np.corrcoef(a, b)[0, 1]), len(a)
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:

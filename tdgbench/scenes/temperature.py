@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,7 +106,10 @@ def finite_number(value: object) -> float:
 def sampled(values: np.ndarray, views: int) -> np.ndarray:
     """Return evenly spaced ones of a view's values (N,), so few that all `views` have MOST_SAMPLES at most.
 
+    The step has no divisor in common with N, nor so with the width of an image, of which it would read few columns.
+
     >>> sampled(np.arange(9), views=250_000)
-    array([0, 3, 6])
+    array([0, 4, 8])
     """
-    return values[:: max(1, -(-len(values) * views // MOST_SAMPLES))]
+    fewest = max(1, -(-len(values) * views // MOST_SAMPLES))
+    return values[:: next(step for step in itertools.count(fewest) if math.gcd(step, max(len(values), 1)) == 1)]

@@ -95,6 +95,9 @@ def trunk_weights(net: Net, file: str | None, download: bool) -> dict[str, Tenso
     if file is not None:
         state = _read(Path(file))
     elif cached.exists():
+        if own_weights(net, str(cached)):
+            what = "is not torchvision's file, whose SHA-256 its name states"
+            raise BackboneUnavailableError(f"{cached} {what}: delete it, or name a file of yours: {NAME_IT}")
         state = _read(cached)
     elif download:
         state = _download(net, spec, cached)

@@ -13,6 +13,7 @@ from tdgbench.scenes.modalities import LABELS, THERMAL, image_of
 
 Border = Literal["zero", "valid"]
 ConventionName = Literal["3dgs", "standard"]  # as a record names it
+CONVENTIONS = {"3dgs": ("zero", "unit"), "standard": ("valid", "signed")}  # border of SSIM, range of LPIPS
 
 
 class NotApplicableError(Exception):
@@ -146,6 +147,19 @@ class ScoredView:
         return min(others, key=lambda other: float(np.linalg.norm(other.camera.center - center)))
 
 
+def check_convention(name: str, ssim_border: str, lpips_range: str) -> None:
+    """Raise ValueError for settings that are not those of a convention: its name would state other scores.
+
+    >>> check_convention("standard", "zero", "unit")
+    Traceback (most recent call last):
+    ValueError: convention standard has ssim_border=valid, lpips_range=signed: choose metrics=3dgs or metrics=standard
+    """
+    border, values = CONVENTIONS[name]
+    if (ssim_border, lpips_range) != (border, values):
+        choices = " or ".join(f"metrics={one}" for one in CONVENTIONS)
+        raise ValueError(f"convention {name} has ssim_border={border}, lpips_range={values}: choose {choices}")
+
+
 def at_valid(valid: np.ndarray | None, values: np.ndarray) -> np.ndarray:
     """Return the values (N, …) of (H, W, …) where the mask (H, W) is true; without a mask, the values themselves.
 
@@ -165,5 +179,7 @@ def to_8bit(image: np.ndarray) -> np.ndarray:
 
 
 def as_saved(image: np.ndarray) -> np.ndarray:
-    """Return an image (H, W, C) as its 8-bit file gives it back, float32 in [0, 1]."""
+    """Return an image (H, W, C) as its 8-bit file gives it back, float32 in [0, 1]. Raises ValueError for NaN."""
+    if np.isnan(image).any():
+        raise ValueError("an image has values that are NaN, which are no levels")
     return to_8bit(image).astype(np.float32) / np.float32(255)

@@ -26,6 +26,7 @@ from tdgbench.scoring.scored_view import (
     NotApplicableError,
     RenderedImages,
     ScoredView,
+    check_convention,
 )
 from tdgbench.splats.cpu import pool
 
@@ -76,6 +77,7 @@ class Scorer:
         lpips: LPIPSOptions,
         extra: Annotated[list[str], AfterValidator(_usable)] | None = None,
     ) -> None:
+        check_convention(convention, ssim_border, lpips_range)
         self.convention: str = convention
         self.settings = Convention(ssim_border, self.lpips)
         self.lpips_range: Range = lpips_range

@@ -90,14 +90,17 @@ class Unknown:
     reason: str
 
 
-def normalized(response: ViewResponses) -> ViewResponses:
+def normalized(response: ViewResponses, known: np.ndarray | None = None) -> ViewResponses:
     """Normalise a response to mean offset 0 and mean gain 1, which changes scale and zero of the scene's temperatures.
+
+    known: (V,) mask of the views that count; the others have gain 1.
 
     >>> normalized(ViewResponses(np.array([1.0, 3.0]), np.array([1.0, 1.0]))).offsets
     array([-1.,  1.])
     """
-    gains = response.gains / response.gains.mean()
-    return ViewResponses(response.offsets - gains * response.offsets.mean(), gains)
+    counted = np.ones(len(response.gains), bool) if known is None else known
+    gains = np.where(counted, response.gains / response.gains[counted].mean(), 1.0)
+    return ViewResponses(response.offsets - gains * response.offsets[counted].mean(), gains)
 
 
 class Truth(NamedTuple):

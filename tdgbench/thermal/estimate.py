@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from tdgbench.scenes import Scene, View
+from tdgbench.scenes import Scene
 from tdgbench.scenes.images import in_pseudo_colour
 from tdgbench.text import first_few
 from tdgbench.thermal.camera import ThermalCamera, Unknown, normalized
-from tdgbench.thermal.expected_errors import Drift, ExpectedErrors, sequence_positions
+from tdgbench.thermal.expected_errors import Drift, ExpectedErrors, kind_of_name, sequence_positions
 from tdgbench.thermal.fit import Terms
 from tdgbench.thermal.observations import FEWEST_VIEWS, PointSamples, find_observations
 from tdgbench.thermal.select_terms import fit_selected_terms
@@ -73,11 +72,14 @@ def _estimate(scene: Scene, seen: PointSamples) -> ThermalCamera:
     place = sequence_positions([view.name for view in scene.views])
     at = np.array([place[view.name] for view in train])
     fitted, terms, drift = fit_selected_terms(data, stds, at)
-    response = normalized(fitted.response)
+    response = normalized(fitted.response, counts > 0)
+    if drift is None:  # else those of views without observations follow their neighbours'
+        response = response._replace(offsets=np.where(counts > 0, response.offsets, 0.0))
     undetermined = max(0, fitted.undetermined - terms.offsets - terms.gains)
     expected = {}
     if drift is not None:
-        known, others = counts > 0, [view.name for view in scene.test]
+        kinds = {kind_of_name(view.name) for view in train}
+        known, others = counts > 0, [view.name for view in scene.test if kind_of_name(view.name) in kinds]
         offsets = drift.expected(np.array([place[other] for other in others]), at[known], response.offsets[known])
         expected = dict(zip(others, offsets.tolist(), strict=True))
     return ThermalCamera(
@@ -92,14 +94,13 @@ def _estimate(scene: Scene, seen: PointSamples) -> ThermalCamera:
         expected=expected,
         terms=tuple(name for name, used in terms._asdict().items() if used),
         undetermined=undetermined,
-        notes=tuple(_notes(train, counts, terms, undetermined, drift)),
+        notes=tuple(_notes(scene, counts, terms, undetermined, drift)),
     )
 
 
-def _notes(
-    train: Sequence[View], counts: np.ndarray, terms: Terms, undetermined: int, drift: Drift | None
-) -> list[str]:
+def _notes(scene: Scene, counts: np.ndarray, terms: Terms, undetermined: int, drift: Drift | None) -> list[str]:
     """Return what is not corrected, not determined, and how offsets drift. counts: (V,) observations of each view."""
+    train, kinds = scene.train, {kind_of_name(view.name) for view in scene.train}
     left_out = [name for name, used in terms._asdict().items() if not used]
     notes = []
     if left_out:
@@ -122,4 +123,7 @@ def _notes(
             f"offsets change over {drift.length:g} views in the order of their names, by {1 - drift.jitter:.0%} of "
             f"their variance, with {events}; those of test views are expected from this"
         )
+        apart = [view.name for view in scene.test if kind_of_name(view.name) not in kinds]
+        if apart:
+            notes.append(f"test views with other names than training views get the mean offset: {first_few(apart)}")
     return notes

@@ -20,22 +20,35 @@ SHUTTER = 6.0  # standard deviations of the steps between successive views; a la
 NORMAL = 1.4826  # standard deviation of a normal distribution per median absolute deviation
 JITTERS = (0.02, 0.1, 0.3, 0.6, 0.9, 1.0)  # shares of the offsets' variance that change from view to view
 LENGTHS = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # views, over which the rest of it changes
+SPLITS = re.compile(r"(?i)(?<![a-z])(train|eval|test|val)(?![a-z])")  # in names of views
 FEWEST = 6  # views with an offset, to tell whether it changes smoothly
 
 
 def sequence_positions(names: Sequence[str]) -> dict[str, float]:
     """Return the positions of views in the sequence, sorted by the numbers in their names; NaN if a name has none.
 
-    Time stamps and counters in names give the order of capture. `fit_drift` tests whether offsets follow it.
+    Time stamps and counters in names give the order of capture. `fit_drift` tests whether offsets follow it. Names of
+    splits, as in `frame_train_7`, do not count; if names are equal without them, each split has its own counter, and
+    all positions are NaN.
 
-    >>> sequence_positions(["img_10", "img_9"])
-    {'img_10': 1.0, 'img_9': 0.0}
+    >>> sequence_positions(["img_10", "img_9"]), sequence_positions(["a_eval_2", "a_train_1"])
+    ({'img_10': 1.0, 'img_9': 0.0}, {'a_eval_2': 1.0, 'a_train_1': 0.0})
     """
-    if not all(re.search(r"[0-9]", name) for name in names):
+    keys = {name: [part.zfill(20) for part in re.split(r"([0-9]+)", SPLITS.sub("", name))] for name in names}
+    if not all(re.search(r"[0-9]", name) for name in names) or len({*map(tuple, keys.values())}) < len(keys):
         return dict.fromkeys(names, float("nan"))
-    order = sorted(names, key=lambda name: [part.zfill(20) for part in re.split(r"([0-9]+)", name)])
+    order = sorted(names, key=keys.__getitem__)
     place = {name: float(number) for number, name in enumerate(order)}
     return {name: place[name] for name in names}
+
+
+def kind_of_name(name: str) -> str:
+    """Return a name without its numbers and that of its split: views of another kind are of another sequence.
+
+    >>> kind_of_name("frame_train_0007"), kind_of_name("frame_eval_0012")
+    ('frame__#', 'frame__#')
+    """
+    return re.sub(r"[0-9]+", "#", SPLITS.sub("", name))
 
 
 class ExpectedErrors(NamedTuple):

@@ -191,3 +191,13 @@ def test_the_file_of_a_method_of_the_user_is_named(tmp_path):
         check_method_name(composed("method.compared_with=3dg"), None)
     for baseline in ("3dgs", "mine", "broken"):
         check_method_name(composed(f"method.compared_with={baseline}"), None)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [["metrics.convention=standard"], ["metrics.ssim_border=valid"], ["metrics=standard", "metrics.lpips_range=unit"]],
+)
+def test_a_convention_is_what_its_name_says(given):
+    check_options(config("metrics=standard"))
+    with pytest.raises(OptionError, match="choose metrics=3dgs or metrics=standard"):
+        check_options(config(*given))

@@ -113,6 +113,22 @@ def test_maps_that_contradict_the_sparse_points_are_doubted(small_scene, tmp_pat
     assert not [*doubts_of(priors, replace(small_scene, points=None))]
 
 
+def test_views_of_few_points_are_compared_together(small_scene):
+    priors = {view.name: DepthPrior(1 / view.true_depth, "depth") for view in small_scene.train}
+    few = replace(small_scene, points=replace(small_scene.points, points=small_scene.points.points[::12]))
+    (doubt,) = doubts_of(priors, few)
+    assert "has a rank correlation of -" in doubt and "points of all views: are its kind" in doubt
+    right = {view.name: DepthPrior(view.true_depth, "depth") for view in small_scene.train}
+    assert not [*doubts_of(right, few)]
+
+
+def test_levels_of_a_picture_are_no_metres(small_scene, tmp_path):
+    view = small_scene.train[0]
+    Image.fromarray((1000 * view.true_depth).astype(np.uint16)).save(tmp_path / f"{view.name}.png")
+    with pytest.raises(PriorError, match=r"a picture has levels: save \.npy"):
+        FilePrior(str(tmp_path), "metric").estimate(small_scene, view)
+
+
 def test_a_map_of_the_distorted_image_is_refused(small_scene, tmp_path):
     """The lens' distortion is removed from the view, so the map of its file does not fit, whatever data.width is."""
     view = small_scene.train[0]

@@ -35,6 +35,9 @@ def test_weights_from_torch_s_cache(tmp_path, monkeypatch):
     (tmp_path / "hub" / "checkpoints").mkdir(parents=True)
     state = {f"features.{k}": v for k, v in random_state("squeeze").items()}
     torch.save(state, tmp_path / "hub" / "checkpoints" / SPECS["squeeze"].file)
+    with pytest.raises(BackboneUnavailableError, match="is not torchvision's file, whose SHA-256 its name states"):
+        trunk_weights("squeeze", None, download=False)
+    monkeypatch.setattr(backbones, "own_weights", lambda net, file: "")
     assert trunk_weights("squeeze", None, download=False)
 
 

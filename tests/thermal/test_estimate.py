@@ -4,7 +4,7 @@ import numpy as np
 
 from tdgbench.scenes import PointCloud, View
 from tdgbench.thermal import Unknown, estimate_camera
-from tdgbench.thermal.camera import normalized_truth
+from tdgbench.thermal.camera import ViewResponses, normalized, normalized_truth
 from tdgbench.thermal.maps import evaluate
 from tests.helpers.layouts import celsius, read_truth
 
@@ -69,6 +69,24 @@ def test_a_view_with_few_points_gets_the_response_of_those_beside_it(drifting_sc
     camera = estimate_camera(replace(drifting_scene, train=train, points=cloud))
     assert f"the response of the views before and after them: {away.name}" in " ".join(camera.notes)
     assert abs(camera.offsets[0]) < 2 and abs(camera.gains[0] - 1) < 0.05
+
+
+def test_names_of_splits_change_no_offset(drifting_scene, drifting_camera):
+    def named(views, split):
+        return [replace(view, name=view.name.replace("view", f"frame_{split}_")) for view in views]
+
+    train, test = named(drifting_scene.train, "train"), named(drifting_scene.test, "eval")
+    found = estimate_camera(replace(drifting_scene, train=train, test=test))
+    assert [*found.expected.values()] == [*drifting_camera.expected.values()] and len(found.expected) == len(test)
+    other = [replace(view, name=f"again_{view.name}") for view in test]
+    found = estimate_camera(replace(drifting_scene, train=train, test=other))
+    assert not found.expected and "test views with other names" in " ".join(found.notes)
+
+
+def test_a_view_that_is_not_seen_counts_in_no_mean():
+    response = ViewResponses(np.array([1.0, 3.0, 0.0]), np.array([0.3, 0.3, 1.0]))
+    found = normalized(response, np.array([True, True, False]))
+    assert found.gains.tolist() == [1, 1, 1] and found.offsets.tolist() == [-1, 1, -2]
 
 
 def test_scenes_that_tell_nothing(drifting_scene, small_scene):

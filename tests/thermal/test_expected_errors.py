@@ -19,6 +19,14 @@ def test_places_are_in_the_order_of_counters_and_time_stamps():
     assert all(np.isnan(place) for place in sequence_positions(["view_1", "north"]).values())
 
 
+def test_names_of_splits_do_not_count():
+    """As in ThermoScenes; where each split has its own counter, the sequence is not known."""
+    names = [f"frame_{'eval' if number % 5 == 0 else 'train'}_{number:05}" for number in range(20)]
+    assert [*sequence_positions(names).values()] == [*range(20)]
+    assert np.isnan([*sequence_positions(["frame_train_1", "frame_eval_1", "frame_train_2"]).values()]).all()
+    assert [*sequence_positions(["trainyard_2", "trainyard_1"]).values()] == [1, 0]  # part of a word
+
+
 def test_a_smooth_drift_lets_expect_views_between_others():
     for seed in range(3):
         offsets, known = smooth(seed), np.arange(60) % 5 != 2

@@ -15,7 +15,7 @@ def is_barely_seen(determinacy: np.ndarray) -> np.ndarray:
     >>> is_barely_seen(np.array([0.1, 0.9])).tolist()
     [True, False]
     """
-    return determinacy < ONE_VIEW
+    return ~(determinacy >= ONE_VIEW)  # NaN: nothing is known
 
 
 BARELY_SEEN = ViewMetric(

@@ -20,7 +20,7 @@ IN_PALETTE = "the thermal images are pseudo-colour, which is not a linear temper
 
 
 def differences(shown: ScoredView) -> np.ndarray:
-    """Return differences (N, 1) or (H, W, 1) of 8-bit pictures in °C, where gray values are linear in temperature."""
+    """Return differences (N, C) or (H, W, C) of 8-bit pictures in °C, where gray values are linear in temperature."""
     if shown.scene is not None and shown.scene.raw_count_range is not None:
         raise NotApplicableError("raw counts have no °C")
     if shown.scene is not None and shown.scene.in_palette:
@@ -31,7 +31,7 @@ def differences(shown: ScoredView) -> np.ndarray:
         raise NotApplicableError(IN_PALETTE)
     image, target = shown.pair("thermal").pixels
     span = shown.scene.temperature.max - shown.scene.temperature.min
-    return np.asarray((image - target).mean(axis=-1, keepdims=True, dtype=np.float64) * span)
+    return np.asarray((image - target).astype(np.float64) * span)
 
 
 def mae_degC(shown: ScoredView) -> float:

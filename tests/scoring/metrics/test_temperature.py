@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from skimage.metrics import peak_signal_noise_ratio
 
-from tdgbench.scenes.scene import PALETTE
+from tdgbench.scenes.scene import PALETTE, TemperatureRange
 from tdgbench.scoring import RenderedImages
-from tdgbench.scoring.metrics.temperature import psnr_true
+from tdgbench.scoring.metrics.temperature import mae_degC, psnr_true
 from tdgbench.scoring.scored_view import Convention, NotApplicableError, ScoredView
 
 
@@ -22,6 +22,17 @@ def as_images(scene, gain=1.0, offset=0.0):
     low, span = scene.temperature.min, scene.temperature.max - scene.temperature.min
     true = {view.name: (view.true_temperature - low) / span for view in scene.test}
     return {name: (gain * one + offset)[..., None].astype(np.float32) for name, one in true.items()}
+
+
+def test_errors_of_channels_do_not_cancel(small_gray_scene):
+    """Three channels that are 10 levels too high, too low, and right."""
+    view = small_gray_scene.test[0]
+    truth = np.repeat(np.round(view.thermal * 200 + 20) / 255, 3, axis=2).astype(np.float32)
+    scene = replace(small_gray_scene, temperature=TemperatureRange(10.0, 46.0))
+    shown = replace(view, load_thermal=lambda: truth)
+    render = RenderedImages(truth + np.array([10, -10, 0], np.float32) / 255, np.zeros(truth.shape[:2]))
+    found = mae_degC(ScoredView(shown, render, Convention("zero", lambda image, target: 0.0), scene, {}))
+    assert found == pytest.approx(36 * 20 / 3 / 255, rel=1e-3)
 
 
 def test_truth_is_best_whatever_its_scale_and_zero(small_gray_scene):
