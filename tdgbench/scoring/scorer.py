@@ -26,7 +26,6 @@ from tdgbench.scoring.scored_view import (
     NotApplicableError,
     RenderedImages,
     ScoredView,
-    check_convention,
 )
 from tdgbench.splats.cpu import pool
 
@@ -77,7 +76,6 @@ class Scorer:
         lpips: LPIPSOptions,
         extra: Annotated[list[str], AfterValidator(_usable)] | None = None,
     ) -> None:
-        check_convention(convention, ssim_border, lpips_range)
         self.convention: str = convention
         self.settings = Convention(ssim_border, self.lpips)
         self.lpips_range: Range = lpips_range

@@ -182,7 +182,7 @@ def test_masked_pixels_count_in_no_convention(tmp_path):
 
 
 def of_one_more_convention(folder):
-    cell(folder.parents[5], "msmg", [2.0], ssim_border="valid")
+    cell(folder.parents[5], "msmg", [2.0], ssim_border="valid", convention="standard", lpips_range="signed")
 
 
 def with_record(folder, **fields):
