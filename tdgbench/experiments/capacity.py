@@ -173,7 +173,8 @@ def _of_group(group: pd.DataFrame, there: pd.DataFrame, first: str) -> dict[str,
     is_first = group["run"].iloc[0] == first
     pairs = there[there["run"] == first].merge(group, on=["scene", "seed"], suffixes=("_first", ""))
     equal = pairs[(pairs["had_first"] == pairs["had"]) & (not is_first)]
-    pairs = equal if set(equal["scene"]) == set(there["scene"]) else equal[:0]  # an average is one of all scenes
+    is_whole = len(equal) == len(group) and set(equal["scene"]) == set(there["scene"])
+    pairs = equal if is_whole else equal[:0]  # of all seeds, and an average of all scenes
     has_all = there["scene"].nunique() == 1 or len(group) == len(there[["scene", "seed"]].drop_duplicates())
     for metric in QUALITY:
         sign = 1 if measure_of(metric).higher_is_better else -1
@@ -192,7 +193,7 @@ def _mean(name: str, scenes: pd.Series, values: pd.Series, has_all: bool = True)
     has_all: whether no cell is missing; else there is no mean.
     """
     known = values.notna()
-    if not has_all or not known.any():
+    if not has_all or not known.any() or (scenes.nunique() > 1 and not known.all()):
         return {name: np.nan, f"{name}_half": np.nan}
     found = gain_interval([("", scene, nth) for nth, scene in enumerate(scenes[known])], values[known])
     return {name: found.mean, f"{name}_half": found.mean - found.low}

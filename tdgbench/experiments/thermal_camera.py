@@ -173,23 +173,24 @@ def summary(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> pd.Dat
     """Return the means over the seeds.
 
     clean, ideal: the capture without errors and the camera that does nothing. recovered: share of what a capture's
-    errors cost the ideal camera in PSNR to the true temperatures that another camera brings back, a mean over the seeds
-    that have all it needs. psnr_true_sem: standard error of the mean; NaN for one seed.
+    errors cost the ideal camera in PSNR to the true temperatures that another camera brings back, of means over the
+    seeds that have all it needs. psnr_true_sem: standard error of the mean; NaN for one seed.
     """
-    cells = cells.assign(recovered=_recovered(cells, clean, ideal))
     groups = cells.groupby(_PLACE, sort=False)
     means = groups[[name for name in cells.columns if name not in (*_PLACE, "seed", "notes", IMAGES)]].mean()
+    means["recovered"] = [_recovered(cells, place, clean, ideal) for place in means.index]
     means.insert(0, "seeds", groups["seed"].nunique())
     return means.assign(**{f"{JUDGED}_sem": groups[JUDGED].sem(), IMAGES: groups[IMAGES].first()}).reset_index()
 
 
-def _recovered(cells: pd.DataFrame, clean: str | None, ideal: str | None) -> list[float]:
-    """Return the share of the lost PSNR that each cell recovers; NaN where little was lost or a cell is missing."""
-    score = cells.set_index([*_PLACE, "seed"])[JUDGED].to_dict()
-    recovered = []
-    for row in cells.itertuples():
-        best = score.get((row.scene, clean, row.method, ideal, row.seed), np.nan)
-        without = score.get((row.scene, row.capture, row.method, ideal, row.seed), np.nan)
-        is_known = best - without >= LOST and row.capture != clean and row.thermal_camera != ideal
-        recovered.append((getattr(row, JUDGED) - without) / (best - without) if is_known else np.nan)
-    return recovered
+def _recovered(cells: pd.DataFrame, place: tuple[str, ...], clean: str | None, ideal: str | None) -> float:
+    """Return the share of the lost PSNR that a camera recovers; NaN where little was lost or no seed has all cells."""
+    scene, capture, method, camera = place
+    if capture == clean or camera == ideal:
+        return float("nan")
+    by_seed = cells.set_index([*_PLACE, "seed"])[JUDGED].unstack("seed")
+    wanted = [(scene, clean, method, ideal), (scene, capture, method, ideal), place]
+    if not all(one in by_seed.index for one in wanted):
+        return float("nan")
+    best, without, mine = by_seed.loc[wanted].dropna(axis=1).mean(axis=1)
+    return float((mine - without) / (best - without)) if best - without >= LOST else float("nan")

@@ -128,7 +128,7 @@ def build_tables(experiment: Path, options: TableOptions = USUAL) -> Tables:
     A record that cannot be read gives n/a with the reason, and is one of the results' `problems`; so is a mean of
     unlike trainings. Raises ValueError for an empty folder, naming it, and for columns that no table has.
     """
-    results = read_results(experiment)
+    results = read_results(experiment, of_last_run=True)
     with own_columns(results.plan):
         known = *COLUMNS, *further(), *ASKED
         unknown = [name for name in options.columns if name not in known]

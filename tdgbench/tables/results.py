@@ -96,11 +96,11 @@ class Results:
         return self.folder / "report.html"
 
 
-def read_results(experiment: Path) -> Results:
+def read_results(experiment: Path, of_last_run: bool = False) -> Results:
     """Read an experiment. A cell whose record cannot be read is a failed cell, with the reason; copies count once.
 
-    Of runs without a name, only the cells of the last run's scenes are returned. Raises ValueError, naming the folder,
-    if it has neither records nor a plan.
+    of_last_run: of runs without a name, return only the cells of the last run's scenes, as tables show them. Raises
+    ValueError, naming the folder, if it has neither records nor a plan.
     """
     problems: list[str] = []
     try:
@@ -109,7 +109,7 @@ def read_results(experiment: Path) -> Results:
         plan = Plan()
         problems.append(f"{error}; tables show the cells that have records")
     cells = _without_copies(_cells_in_place(experiment, problems), problems)
-    if experiment.absolute().name == UNNAMED and plan.scenes:
+    if of_last_run and experiment.absolute().name == UNNAMED and plan.scenes:
         scenes = {(scene.dataset, scene.scene) for scene in plan.scenes}
         cells = [cell for cell in cells if cell.dataset_and_scene in scenes]
     if not cells and not plan.scenes:

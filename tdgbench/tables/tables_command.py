@@ -80,7 +80,7 @@ def _weights(text: str) -> tuple[str, str]:
 
 
 def _sensitivity(experiment: Path, weights: Weights) -> int:
-    results = read_results(experiment)
+    results = read_results(experiment, of_last_run=True)
     cells = results.finished
     table = sensitivity(cells, weights).assign(**{IMAGES: image_values(cell.record for cell in cells)})
     results.tables.mkdir(exist_ok=True)

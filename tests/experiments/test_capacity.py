@@ -35,6 +35,13 @@ def test_gains_are_of_equal_numbers_over_seeds_and_over_scenes_that_all_have_the
     more = found.xs("more", level="run")["verdict"]
     assert list(more) == ["undecided", UNEQUAL, UNEQUAL] and found.loc[("all scenes", "more")].had == "60 to 61"
     assert set(found.xs("first", level="run")["verdict"]) == {""}
+    fewer = [{**cell, "had": 61} if cell["seed"] == 1 and cell["run"] == "other" else cell for cell in cells]
+    fewer += [{**cell, "run": "blank", "ssim": None if cell["scene"] == "b" else 0.9} for cell in cells[::3]]
+    found = at_equal_numbers(pd.DataFrame(fewer), "first").set_index(["scene", "run"])
+    assert found.loc[("a", "other"), "verdict"] == UNEQUAL  # two of three seeds are no gain
+    assert pd.isna(found.loc[("all scenes", "blank"), "ssim"]) and pd.isna(
+        found.loc[("all scenes", "blank"), "ssim_gain"]
+    )
     lost = [cell for cell in cells if (cell["scene"], cell["run"]) != ("b", "other")]
     found = at_equal_numbers(pd.DataFrame(lost), "first").set_index(["scene", "run"])
     assert pd.isna(found.loc[("all scenes", "other"), "psnr"]) and found.loc[("a", "other"), "psnr"] == 28.0

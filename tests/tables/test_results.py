@@ -39,12 +39,14 @@ def experiment(tmp_path) -> Path:
 
 
 def test_runs_without_a_name_share_no_table(experiment):
-    """Each has cells of its last run's scenes: those of other captures would be rows of n/a."""
+    """Tables have cells of the last run's scenes: those of other captures would be rows of n/a. Others have all."""
     Plan(scenes=[NIGHT], methods=["tdg"]).write(experiment)
     assert {r.scene for r in read_results(experiment).records} == {"orbit", "night"}
     assert OmegaConf.load(conf_folder() / "config.yaml").name == UNNAMED
     unnamed = experiment.rename(experiment.with_name(UNNAMED))
-    assert {r.scene for r in read_results(unnamed).records} == {"night"}
+    assert {r.scene for r in read_results(unnamed).records} == {"orbit", "night"}
+    assert {r.scene for r in read_results(unnamed, of_last_run=True).records} == {"night"}
+    assert {r.scene for r in build_tables(unnamed).records} == {"night"}
 
 
 def cell_of(experiment: Path, scene: str) -> Path:
