@@ -140,10 +140,15 @@ def _at(values: np.ndarray, known: KnownDepth) -> np.ndarray:
     return np.where(np.isfinite(found), found, np.nan)
 
 
+def _beside(values: np.ndarray, known: KnownDepth) -> tuple[np.ndarray, np.ndarray]:
+    """Return a map's values and known depth where both are known, (M,)."""
+    found = _at(values, known)
+    return found[np.isfinite(found)], known.z[np.isfinite(found)]
+
+
 def _rank(values: np.ndarray, known: KnownDepth) -> float:
     """Return Spearman's correlation of a map with known depth; NaN of too few points or of one value."""
-    found = _at(values, known)
-    found, z = found[np.isfinite(found)], known.z[np.isfinite(found)]
+    found, z = _beside(values, known)
     if len(z) < FEWEST_POINTS or not np.ptp(found) or not np.ptp(z):
         return np.nan
     return float(np.corrcoef(_ranks(found), _ranks(z))[0, 1])
@@ -156,8 +161,7 @@ def _pooled_rank(priors: Mapping[str, DepthPrior], known: Mapping[str, KnownDept
     """
     pairs = []
     for name, one in known.items():
-        found = _at(priors[name].values, one)
-        found, z = found[np.isfinite(found)], one.z[np.isfinite(found)]
+        found, z = _beside(priors[name].values, one)
         if len(z) > 1 and np.ptp(found) and np.ptp(z) and _spread(z) > LEAST_SPREAD:
             pairs.append([(_ranks(each) - (len(z) + 1) / 2) / len(z) for each in (found, z)])
     if sum(len(a) for a, _ in pairs) < FEWEST_POINTS:

@@ -98,14 +98,12 @@ def _among_rivals(rivals: list[BoardRow]) -> list[BoardRow]:
         )
         return [replace(row, unranked=unlike, is_unlike=True) for row in rivals]
     known = [not np.isnan(row.scores[SCORES.index(METRIC)].value) for row in rivals]
-    selected = [any(map(is_selected, row.records)) for row in rivals]
-    found = [
-        replace(row, unranked=SELECTED if selected[i] else FEW_SEEDS if known[i] else WITHOUT_MEAN)
-        for i, row in enumerate(rivals)
+    reasons = [
+        SELECTED if any(map(is_selected, row.records)) else "" if is_known else WITHOUT_MEAN
+        for row, is_known in zip(rivals, known, strict=True)
     ]
-    able = [
-        i for i, row in enumerate(rivals) if known[i] and not selected[i] and len(row.by_seed(METRIC)) >= FEWEST_SEEDS
-    ]
+    found = [replace(row, unranked=why or FEW_SEEDS) for row, why in zip(rivals, reasons, strict=True)]
+    able = [i for i, row in enumerate(rivals) if not reasons[i] and len(row.by_seed(METRIC)) >= FEWEST_SEEDS]
     if len(able) < 2:
         return found
     numbers = _by_seed(METRIC, [rivals[i] for i in able])

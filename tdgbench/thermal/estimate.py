@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -94,13 +95,23 @@ def _estimate(scene: Scene, seen: PointSamples) -> ThermalCamera:
         expected=expected,
         terms=tuple(name for name, used in terms._asdict().items() if used),
         undetermined=undetermined,
-        notes=tuple(_notes(scene, counts, terms, undetermined, drift)),
+        notes=tuple(_notes(scene, counts, terms, undetermined, drift, expected)),
     )
 
 
-def _notes(scene: Scene, counts: np.ndarray, terms: Terms, undetermined: int, drift: Drift | None) -> list[str]:
-    """Return what is not corrected, not determined, and how offsets drift. counts: (V,) observations of each view."""
-    train, kinds = scene.train, {kind_of_name(view.name) for view in scene.train}
+def _notes(
+    scene: Scene,
+    counts: np.ndarray,
+    terms: Terms,
+    undetermined: int,
+    drift: Drift | None,
+    expected: Mapping[str, float],
+) -> list[str]:
+    """Return what is not corrected, not determined, and how offsets drift. counts: (V,) observations of each view.
+
+    expected: offsets of test views that follow the drift.
+    """
+    train = scene.train
     left_out = [name for name, used in terms._asdict().items() if not used]
     notes = []
     if left_out:
@@ -123,7 +134,7 @@ def _notes(scene: Scene, counts: np.ndarray, terms: Terms, undetermined: int, dr
             f"offsets change over {drift.length:g} views in the order of their names, by {1 - drift.jitter:.0%} of "
             f"their variance, with {events}; those of test views are expected from this"
         )
-        apart = [view.name for view in scene.test if kind_of_name(view.name) not in kinds]
+        apart = [view.name for view in scene.test if view.name not in expected]
         if apart:
             notes.append(f"test views with other names than training views get the mean offset: {first_few(apart)}")
     return notes

@@ -63,9 +63,8 @@ class PlacedField(nn.Module):
     def check_place(self) -> None:
         """Raise ValueError for the region of a broken file."""
         region = self.region
-        if not (
-            np.isfinite([*region.center, *region[1:]]).all() and region.radius > 0 and 0 < region.near < region.far
-        ):
+        is_finite = bool(self.region_numbers.isfinite().all())
+        if not (is_finite and self.is_placed and 0 < region.near < region.far):
             raise ValueError(f"its region of the world is none: {region}")
 
 
