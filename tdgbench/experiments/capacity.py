@@ -34,7 +34,7 @@ from tdgbench.experiments.matrix import (
 from tdgbench.tables.claims.cell_pairs import gain_interval
 from tdgbench.tables.claims.evidence import UNDECIDED
 from tdgbench.tables.measures import measure_of
-from tdgbench.tables.palette import IMAGES
+from tdgbench.tables.palette import IMAGES, IN_SOME
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
 
@@ -123,7 +123,7 @@ class Capacity(Matrix):
         curves = pd.concat([curve.assign(seed=seed) for (curve, _), seed in zip(sampled, seeds, strict=True)])
         if curves.empty:
             return failed
-        times = over_seeds_of_times(best_after(curves, list(cfg.study.times)))
+        times = over_seeds_of_times(best_after(curves, list(cfg.study.times)), len(seeds))
         write_tables(Path(cfg.results) / cfg.name, {"capacity_times": times, "capacity_curves": curves})
         columns = ("scene", "label", "after", "seeds", "psnr", "psnr_half", "ssim", "lpips", "ended")
         shown = {name: (name, "{:.4g}" if name not in ("scene", "label", "ended") else "{}") for name in columns}
@@ -184,7 +184,8 @@ def _of_group(group: pd.DataFrame, there: pd.DataFrame, first: str) -> dict[str,
     gain, half = row["psnr_gain"], row["psnr_gain_half"]
     decided = UNDECIDED if not abs(gain) > half else "better" if gain > 0 else "worse"
     row["verdict"] = "" if is_first else decided if len(pairs) else UNEQUAL
-    return {**row, IMAGES: group[IMAGES].iloc[0]}
+    shown = set(group[IMAGES])
+    return {**row, IMAGES: shown.pop() if len(shown) == 1 else IN_SOME}
 
 
 def _mean(name: str, scenes: pd.Series, values: pd.Series, has_all: bool = True) -> dict[str, float]:
@@ -208,11 +209,11 @@ def _span(counts: pd.Series) -> str:
     return " to ".join(str(int(count)) for count in dict.fromkeys((counts.min(), counts.max())))
 
 
-def over_seeds_of_times(times: pd.DataFrame) -> pd.DataFrame:
+def over_seeds_of_times(times: pd.DataFrame, asked: int) -> pd.DataFrame:
     """Return one row per scene, run and time of `best_after`: means over seeds, with half of their 95 % intervals.
 
-    seeds: those with a score by then; if some have none, there is no mean, which would be that of the fastest. ended:
-    with how many seeds the training was over.
+    asked: how many seeds were trained, also those that failed. seeds: those with a score by then; if one has none,
+    there is no mean, which would be that of the fastest. ended: with how many seeds the training was over.
     """
     return pd.DataFrame(
         [
@@ -220,7 +221,7 @@ def over_seeds_of_times(times: pd.DataFrame) -> pd.DataFrame:
                 **dict(zip(("scene", "label", "after"), names, strict=True)),
                 **{
                     k: v for metric in QUALITY
-                    for k, v in _mean(metric, group["scene"], group[metric], bool(group[metric].notna().all())).items()
+                    for k, v in _mean(metric, group["scene"], group[metric], group[metric].count() == asked).items()
                 },
                 "seeds": int(group["psnr"].notna().sum()), "ended": int(group["ended"].sum()),
                 IMAGES: group[IMAGES].iloc[0],

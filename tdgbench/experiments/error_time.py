@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from omegaconf import DictConfig, OmegaConf
 from pydantic import BaseModel, Field, PositiveFloat
 
+from tdgbench.bench.backend_check.choose import training_backend
 from tdgbench.bench.failures import error_message
 from tdgbench.bench.options import OptionError
 from tdgbench.bench.record_of_run import state_assumptions, state_values
@@ -30,6 +31,7 @@ from tdgbench.scenes import Scene
 from tdgbench.scoring import METRICS, Scorer, mean_scores
 from tdgbench.splats.cpu import pool
 from tdgbench.tables.claims.quantities import first_at
+from tdgbench.tables.likeness import BUSY, wall_by_processor_time
 from tdgbench.tables.palette import IMAGES, image_values
 from tdgbench.tables.show import format_columns, show_table
 from tdgbench.terminal import say
@@ -82,9 +84,18 @@ class ErrorTime(Experiment):
         if not curves.empty:
             first, *others = [run.label for run in runs_of(cfg)]
             savings = faster_by(curves, first, others)
+            busy = dict.fromkeys(curves.loc[curves["busy"], "label"])
+            if busy:
+                say(
+                    f"other work took processor time from {', '.join(busy)}: their times are not compared",
+                    "n/a:",
+                    "yellow",
+                )
             write_tables(folder, {"curves": curves, "faster": savings})
             shown = {
-                name: (name, "{}" if name in ("scene", "label") else "{:.3g}") for name in savings if name != IMAGES
+                name: (name, "{}" if name in ("scene", "label") else "{:.3g}")
+                for name in savings
+                if name not in (IMAGES, "baseline")
             }
             show_table(format_columns(savings, shown), f"time saved against {first}")
             draw_curves(curves, folder / "curves.png")
@@ -148,7 +159,9 @@ def sample_all(cfg: DictConfig) -> tuple[pd.DataFrame, int]:
             end = curve.iloc[-1]
             reached = f"{end.psnr:.2f} dB after {end.iteration} iterations and {end.seconds:.1f} s"
             say(f"{end.scene}, {run.label}: {reached}")
-    columns = ["scene", "label", "iteration", "seconds", "processor_seconds", "gaussians", *CURVE_METRICS, IMAGES]
+    columns = [
+        "scene", "label", "iteration", "seconds", "processor_seconds", "busy", "gaussians", *CURVE_METRICS, IMAGES
+    ]  # fmt: skip
     return (pd.concat(curves, ignore_index=True) if curves else pd.DataFrame(columns=columns)), failed
 
 
@@ -166,7 +179,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: SampledRun, sampl
     priors = prior_cache(Path(cfg.results))
     trainer, scene, response = set_up(cfg, scene, skips=skips, prior_cache=priors)
     scorer: Scorer = instantiate(cfg.metrics)
-    values = _values_of(scene)
+    values, backend = _values_of(scene), training_backend(cfg.backend.name)
     sampled = _sampled_iterations(trainer.whole_context.budget, samples)
     rows: list[dict[str, Any]] = []
 
@@ -181,6 +194,7 @@ def sample_curve(cfg: DictConfig, scene_name: str | None, run: SampledRun, sampl
                 "iteration": log.iterations,
                 "seconds": log.seconds,
                 "processor_seconds": log.processor_seconds,
+                "busy": wall_by_processor_time(log.seconds, log.processor_seconds, backend) > BUSY,
                 "gaussians": sum(len(model) for model in trainer.gaussians.values()),
                 **{m: scores[m] for m in CURVE_METRICS},
                 IMAGES: values,
@@ -209,7 +223,8 @@ def _sampled_iterations(budget: Budget, samples: int) -> set[int]:
 def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.DataFrame:
     """Return the share of time saved against the baseline over whole runs, at equal iterations and at equal quality.
 
-    The gain in dB is at equal time, the end of the shorter run. A run that failed has no row.
+    The gain in dB is at equal time, the end of the shorter run. A run that failed has no row; what depends on times is
+    NaN where other work took processor time from one of the two.
     """
     rows = []
     for scene, group in curves.groupby("scene", sort=False):
@@ -224,15 +239,17 @@ def faster_by(curves: pd.DataFrame, baseline: str, labels: list[str]) -> pd.Data
             quality = min(float(curve["psnr"].max()) for curve in pair)
             reached = [first_at(curve, quality, "seconds", "psnr") for curve in pair]
             there = [float(np.interp(min(ends), curve["seconds"], curve["psnr"], left=np.nan)) for curve in pair]
+            known = np.nan if any(curve["busy"].iloc[-1] for curve in pair) else 1.0
             rows.append(
                 {
                     "scene": scene,
                     "label": label,
-                    "whole runs": 1 - ends[0] / ends[1],
-                    "equal iterations": 1 - per_iteration[0] / per_iteration[1],
-                    "equal quality": 1 - reached[0] / reached[1],
+                    "baseline": baseline,
+                    "whole runs": known * (1 - ends[0] / ends[1]),
+                    "equal iterations": known * (1 - per_iteration[0] / per_iteration[1]),
+                    "equal quality": known * (1 - reached[0] / reached[1]),
                     "that quality (dB)": quality,
-                    "dB more at equal time": there[0] - there[1],
+                    "dB more at equal time": known * (there[0] - there[1]),
                     IMAGES: group[IMAGES].iloc[0],
                 }
             )

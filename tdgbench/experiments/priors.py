@@ -105,8 +105,9 @@ class Priors(Matrix):
         """Return a row per scene and prior, and one per prior and training view.
 
         Errors are means over the training views, scores means over the seeds. psnr_gain: PSNR minus that without a
-        prior, mean over the seeds that both have. reason: why numbers are missing.
+        prior, mean over all seeds, n/a where a training failed. reason: why numbers are missing.
         """
+        seeds = list(cfg.study.seeds)
         made_from = {str(name): str(prior.get("made_from") or "") for name, prior in cfg.study.priors.items()}
         rows, views = [], []
         for scene, measured in self.measured.items():
@@ -114,7 +115,10 @@ class Priors(Matrix):
             for prior, error in {NONE: PriorErrors(), **measured.errors}.items():
                 place, of_prior = {"scene": scene, "prior": prior}, _cells_of(cells, scene, prior)
                 scores = scores_of(of_prior)
-                failed = "" if error.reason or len(scores) == len(cfg.study.seeds) else "a training failed"
+                gain = (scores["psnr"] - without["psnr"]).reindex(seeds).mean(skipna=False)
+                failed = "" if len(scores) == len(seeds) else "a training failed"
+                if not failed and len(without) < len(seeds):
+                    failed = "a training without a prior failed"
                 rows.append(
                     {
                         **place,
@@ -125,7 +129,7 @@ class Priors(Matrix):
                         **error.mean._asdict(),
                         "seeds": len(scores),
                         **scores.mean(skipna=False),
-                        "psnr_gain": np.nan if prior == NONE else (scores["psnr"] - without["psnr"]).mean(),
+                        "psnr_gain": np.nan if prior == NONE else gain,
                         "reason": error.reason or failed,
                         IMAGES: self.image_values(of_prior),
                     }

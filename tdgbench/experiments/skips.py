@@ -32,6 +32,7 @@ from tdgbench.training.skips import SWITCHES, no_such_skip
 
 NAMES = (*SWITCHES, *RULES)
 NONE, ALL, ALONE, WITHOUT = "none", "all", "only {}", "without {}"  # variants
+PLACE = ("scene", "seed")
 TAKEN = "taken"  # column of the names of a cell's skips that were taken, which no file has
 NOWHERE, NA, UNDECIDED = "none", "n/a", "undecided"  # of `taken_on`; verdicts
 TOGETHER = "all together"  # the row of the variant ALL
@@ -80,7 +81,10 @@ class SkipAblation(Matrix):
         rows = with_changes(table_of(cells, numbers))
         if rows.empty:
             return {}
-        table = summary(rows, list(cfg.study.skips)).assign(**{IMAGES: self.image_values(cells)})
+        names = {cell.labels["scene"]: cell.record.scene for cell in cells if cell.record is not None}
+        asked = [(names.get(cell.labels["scene"], cell.labels["scene"]), cell.labels["seed"]) for cell in cells]
+        places = pd.MultiIndex.from_tuples(dict.fromkeys(asked), names=PLACE)
+        table = summary(rows, list(cfg.study.skips), places).assign(**{IMAGES: self.image_values(cells)})
         return {"skips": table, "skips_cells": rows.drop(columns=TAKEN)}
 
     def show(self, table: pd.DataFrame) -> None:
@@ -134,8 +138,8 @@ def with_changes(table: pd.DataFrame) -> pd.DataFrame:
     return table.drop(columns=IMAGES).assign(**changes, **{IMAGES: table[IMAGES]})  # the last one, as in all tables
 
 
-def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
-    """Return one row per skip, and one for all together.
+def summary(table: pd.DataFrame, names: Sequence[str], places: pd.MultiIndex) -> pd.DataFrame:
+    """Return one row per skip, and one for all together. places: scenes and seeds of the trainings, also failed ones.
 
     faster_alone: training time with no skip over that with this one. slower_without: training time with all but this
     one over that with all. psnr_worst, ssim_worst: change by this skip alone, against no skip, on the scene where it
@@ -144,7 +148,7 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
     has a change, `undecided`. All of these are n/a if a cell is missing; ratios and `default_may_be`, also where the
     skip was not taken: a ratio of equal trainings is noise.
     """
-    rows, places = [], {*zip(table["scene"], table["seed"], strict=True)}
+    rows = []
     for name, variant in (*((name, ALONE.format(name)) for name in names), (TOGETHER, ALL)):
         psnr, psnr_error, of_psnr = _worst(table, variant, "psnr", places)
         ssim, ssim_error, of_ssim = _worst(table, variant, "ssim", places)
@@ -153,10 +157,10 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
         verdict = next((one for one in (NA, "off", UNDECIDED) if one in (of_psnr, of_ssim)), "on")
         rows.append(
             {
-                "skip": name, "taken_on": taken, "scenes": table["scene"].nunique(), "seeds": table["seed"].nunique(),
-                "faster_alone": np.nan if is_none else _ratio(table, NONE, variant),
-                "slower_without": np.nan if is_none else _ratio(table, WITHOUT.format(name), ALL),
-                "memory_alone": np.nan if is_none else _ratio(table, NONE, variant, "peak_rss_mb"),
+                "skip": name, "taken_on": taken, **{f"{axis}s": places.unique(axis).size for axis in PLACE},
+                "faster_alone": np.nan if is_none else _ratio(table, NONE, variant, places),
+                "slower_without": np.nan if is_none else _ratio(table, WITHOUT.format(name), ALL, places),
+                "memory_alone": np.nan if is_none else _ratio(table, NONE, variant, places, "peak_rss_mb"),
                 "psnr_worst": psnr, "psnr_error": psnr_error, "ssim_worst": ssim, "ssim_error": ssim_error,
                 "default_may_be": NA if is_none else verdict,
             }
@@ -164,13 +168,13 @@ def summary(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _worst(table: pd.DataFrame, variant: str, metric: str, places: set[tuple[Any, Any]]) -> tuple[float, float, str]:
+def _worst(table: pd.DataFrame, variant: str, metric: str, places: pd.MultiIndex) -> tuple[float, float, str]:
     """Return a metric's change on the worst scene, its standard error, and whether all scenes lose at most MAX_LOSS.
 
     places: scenes and seeds that all must have a change.
     """
     rows = table[(table["variant"] == variant) & table[f"change of {metric}"].notna()]
-    if {*zip(rows["scene"], rows["seed"], strict=True)} != places:
+    if {*zip(rows["scene"], rows["seed"], strict=True)} != {*places}:
         return float("nan"), float("nan"), NA
     by_scene = rows.groupby("scene")[f"change of {metric}"]
     mean, error, least = by_scene.mean(), by_scene.sem(), -MAX_LOSS[metric]
@@ -179,9 +183,9 @@ def _worst(table: pd.DataFrame, variant: str, metric: str, places: set[tuple[Any
     return float(mean.min()), float(error[mean.idxmin()]), verdict
 
 
-def _ratio(table: pd.DataFrame, slow: str, fast: str, column: str = "train_seconds") -> float:
+def _ratio(table: pd.DataFrame, slow: str, fast: str, places: pd.MultiIndex, column: str = "train_seconds") -> float:
     """Return the geometric mean over scenes and seeds of slow / fast; NaN if a cell of a variant has no number."""
-    both = table.pivot_table(index=["scene", "seed"], columns="variant", values=column, dropna=False)
+    both = table.pivot_table(index=list(PLACE), columns="variant", values=column, dropna=False).reindex(places)
     if slow not in both or fast not in both:
         return float("nan")
     return float(np.exp(np.log(both[slow] / both[fast]).mean(skipna=False)))

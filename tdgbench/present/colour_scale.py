@@ -26,6 +26,7 @@ class ColourScale(NamedTuple):
     low, high, error: image values of range [0, 1]; errors are drawn from 0 to `error`. ends, error_end: the same as
     they are printed; ends are None for a palette, whose colours have no order. unit: of these, ` °C` if it is known.
     colder, warmer: shares of the ground truth's pixels below and above, which have the colours of the ends.
+    degrees: °C of image values 0 and 1; None if they are unknown.
     """
 
     low: float = 0.0
@@ -36,6 +37,25 @@ class ColourScale(NamedTuple):
     unit: str = OF_RANGE
     colder: float = 0.0
     warmer: float = 0.0
+    degrees: tuple[float, float] | None = None
+
+    def of_range(self, degrees: Sequence[float] | None) -> ColourScale:
+        """Return the scale of the same °C for pictures whose image values 0 and 1 are other `degrees`.
+
+        Raises ValueError where one of the ranges is unknown.
+
+        >>> scale = ColourScale(0.0, 0.5, 0.2, ends=("10", "15"), degrees=(10, 20)).of_range((0, 40))
+        >>> scale.low, scale.high, scale.error
+        (0.25, 0.375, 0.05)
+        """
+        other = None if degrees is None else (degrees[0], degrees[1])
+        if other == self.degrees or self.ends is None:
+            return self
+        if other is None or self.degrees is None:
+            raise ValueError("the °C of its values are unknown, or those of the scale: no colours hold for both")
+        width, share = width_of(other), width_of(self.degrees) / width_of(other)
+        low, high = ((self.degrees[0] - other[0]) / width + share * value for value in (self.low, self.high))
+        return self._replace(low=low, high=high, error=share * self.error, degrees=other)
 
     @property
     def span(self) -> str:
@@ -79,13 +99,15 @@ def colour_scale(
     if truth.shape[2] != 1:
         error = _rounded(max(ERROR_RANGE, largest))
         return ColourScale(error=error, error_end=f"{error:g}{OF_RANGE}")
-    zero, one = degrees or (0.0, 1.0)
+    zero, width = degrees[0] if degrees else 0.0, width_of(degrees)
     values = values if values.size else np.array([0, 255])  # all is masked: the whole range
-    width, unit = max(one - zero, 1e-9), " °C" if degrees else OF_RANGE
+    unit = " °C" if degrees else OF_RANGE
     first, median, last = (float(np.quantile(values, q)) / 255 for q in (ENDS[0], 0.5, ENDS[1]))
     low = max(first, median - MOST_BELOW * (last - median))
-    widened = max(0.0, NARROWEST - (last - low)) / 2
-    low, high = (zero + end * width for end in (max(low - widened, 0.0), min(last + widened, 1.0)))
+    if last - low < NARROWEST:
+        low = min(max((low + last - NARROWEST) / 2, 0.0), 1 - NARROWEST)
+        last = low + NARROWEST
+    low, high = (zero + end * width for end in (low, last))
     power = floor(log10(FINEST * max(high - low, 1e-9)))
     low, high = floor(low / 10**power) * 10.0**power, ceil(high / 10**power) * 10.0**power
     error = _rounded(max(ERROR_RANGE * (high - low), largest * width))
@@ -94,7 +116,13 @@ def colour_scale(
         first, last, error / width, unit=unit, error_end=f"{error:g}{unit}",
         ends=(f"{low:.{max(0, -power)}f}", f"{high:.{max(0, -power)}f}"),
         colder=float((values < first * 255).mean()), warmer=float((values > last * 255).mean()),
+        degrees=None if degrees is None else (degrees[0], degrees[1]),
     )  # fmt: skip
+
+
+def width_of(degrees: Sequence[float] | None) -> float:
+    """Return what image values from 0 to 1 span: °C, or 1 where these are unknown."""
+    return max(degrees[1] - degrees[0], 1e-9) if degrees else 1.0
 
 
 def _rounded(value: float) -> float:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tdgbench.cells.folder import RENDERS, CellFolder, CellPictures
-from tdgbench.present.colour_scale import ColourScale, colour_scale
+from tdgbench.present.colour_scale import ColourScale, colour_scale, width_of
 from tdgbench.present.colours import UNKNOWN, colored, expected_depth, in_colour
 from tdgbench.scenes.modalities import THERMAL
 
@@ -25,8 +25,11 @@ class ViewPictures(NamedTuple):
 
 
 def view_pictures(cell: CellFolder, view: str, scale: ColourScale) -> ViewPictures:
-    """Return the stored pictures of a test view in colour. Raises ValueError or OSError where one is unusable."""
-    stored = cell.pictures(view)
+    """Return the stored pictures of a test view in colour, equal °C in equal colours.
+
+    Raises ValueError or OSError where one is unusable, or its °C are not those of the scale.
+    """
+    stored, scale = cell.pictures(view), scale.of_range(cell.record.temperature_range)
     truth, render = (
         grayed(in_colour(one, scale.low, scale.high), stored.valid) for one in (stored.truth, stored.render)
     )
@@ -43,9 +46,14 @@ def view_scale(cells: Iterable[CellFolder], view: str) -> ColourScale:
 
 
 def scale_of(pictures: Sequence[tuple[CellPictures, Sequence[float] | None]]) -> ColourScale:
-    """Return the scale of pictures of one test view, with the °C of values 0 and 1: of the first ground truth."""
+    """Return the scale of pictures of one test view, with the °C of values 0 and 1: of the first ground truth.
+
+    Errors of pictures whose values are unknown beside known °C, or the other way round, do not decide where it ends.
+    """
     (truth, _, valid), degrees = pictures[0]
-    return colour_scale(truth, valid, degrees, np.concatenate([one.error.ravel() for one, _ in pictures]))
+    comparable = [(one.error.ravel(), span) for one, span in pictures if (span is None) == (degrees is None)]
+    errors = [error * (width_of(span) / width_of(degrees)) for error, span in comparable]
+    return colour_scale(truth, valid, degrees, np.concatenate(errors))
 
 
 def middle_view(cells: Iterable[CellFolder]) -> str:

@@ -34,13 +34,16 @@ from tdgbench.tables.measures import entries_of
 from tdgbench.terminal import errors_in_one_line, say, show_findings
 from tdgbench.text import one_line
 
+ALL = ""  # what metrics=CHOICE names
+OF_WEIGHTS = {ALL, "lpips.net", "lpips.weights"}
+
 
 @errors_in_one_line("score")
 def main(arguments: list[str]) -> int:
     """Run the tool; return the exit status: 1 if a cell could not be scored, or nothing could be."""
     parser = argparse.ArgumentParser(
         prog="tdgbench score", description="Score the stored renders of finished cells by another protocol, without "
-        "training. Without options, each cell keeps its protocol, and gets the metrics that it lacks.",
+        "training. Each cell keeps the options that are not named, and gets the metrics that it lacks.",
     )  # fmt: skip
     parser.add_argument(
         "experiment", type=Path, metavar="DIR", help="folder results/<experiment>, or a pack; it stays as it is"
@@ -68,10 +71,26 @@ def _check_out(out: Path, cells: Iterable[CellFolder]) -> None:
 
 
 class Chosen(NamedTuple):
-    """Options of `metrics` as records keep them."""
+    """Options of `metrics` as records keep them, and those that the command line names; all of them by a choice.
+
+    download: whether LPIPS may download a missing backbone; None: of cells that have an LPIPS.
+    """
 
     metrics: dict[str, Any]
-    download: bool | None = None  # whether LPIPS may download a missing backbone; None: of cells that have an LPIPS
+    named: frozenset[str] = frozenset()
+    download: bool | None = None
+
+    def of_cell(self, own: dict[str, Any]) -> dict[str, Any]:
+        """Return the options for a cell with these of its own, which stay where the command line names no other."""
+        if ALL in self.named:
+            return self.metrics
+        merged = {**own, **{name: self.metrics.get(name) for name in self.named if "." not in name}}
+        if "lpips.net" in self.named:
+            merged["lpips"] = self.metrics["lpips"]
+        elif "lpips.weights" in self.named:
+            lpips = {n: v for n, v in own["lpips"].items() if n != "weights_sha256"}
+            merged = relevant_metrics({**merged, "lpips": {**lpips, "weights": self.metrics["lpips"]["weights"]}})
+        return {name: value for name, value in merged.items() if name != "extra" or value}
 
 
 def score_experiment(experiment: Path, out: Path, words: list[str], config_dirs: Sequence[Path] = ()) -> bool:
@@ -118,12 +137,15 @@ def _score(cell: CellFolder, target: Path, chosen: Chosen | None, scorers: dict[
         with whole_folder(target) as part:
             record.write(part)
         return record.why_failed, True
-    metrics, download = chosen or Chosen(record.setting("metrics"))
-    settings = metric_settings(metrics)
-    own = settings["lpips"]["weights"] if chosen else None  # one that a record names is not opened
+    metrics, download = record.setting("metrics"), None
+    weights = None  # a file that a record names is not opened
+    metric_settings(metrics)
+    if chosen:
+        metrics, download = chosen.of_cell(metrics), chosen.download
+        weights = metrics["lpips"]["weights"] if chosen.named & OF_WEIGHTS else None
     if download is None:
         download = record.scores.get(LPIPS.name) is not None
-    scorer = scorer_of(settings, download, None if own is None else Path(own), extra_of(metrics))
+    scorer = scorer_of(metric_settings(metrics), download, weights and Path(weights), extra_of(metrics))
     scorer = scorers.setdefault(json.dumps([metrics, download], sort_keys=True), scorer)
     scores = score_cell(cell, target, scorer, metrics)
     why = {m: scorer.missing.get(m, "") for m in scores if scores[m] is None}
@@ -156,4 +178,5 @@ def read_options(words: list[str], config_dirs: Sequence[Path] = ()) -> Chosen:
     download = cfg.metrics.lpips.download
     if download and not any(word.startswith("metrics.lpips.download=") for word in words):
         download = None
-    return Chosen(relevant_metrics(as_json(OmegaConf.to_container(cfg.metrics))), download)
+    named = frozenset(word.partition("=")[0].removeprefix("metrics").removeprefix(".") for word in words)
+    return Chosen(relevant_metrics(as_json(OmegaConf.to_container(cfg.metrics))), named, download)

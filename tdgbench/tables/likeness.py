@@ -200,10 +200,13 @@ def was_disturbed(record: Record) -> bool:
 
 
 def _wall_by_processor_time(record: Record) -> float:
+    seconds = record.seconds.get("train", 0.0)
+    return wall_by_processor_time(seconds, record.train_processor_seconds, record.backend)
+
+
+def wall_by_processor_time(seconds: float, of_processor: float | None, backend: str) -> float:
     """Return the wall time of a training on the CPU over its processor time; NaN where that is not known."""
-    used = record.train_processor_seconds
-    known = record.backend in ON_CPU and used is not None
-    return record.seconds.get("train", 0.0) / max(used or 0.0, 1e-9) if known else nan
+    return seconds / max(of_processor, 1e-9) if backend in ON_CPU and of_processor is not None else nan
 
 
 def disturbed_notes(records: Iterable[Record]) -> list[str]:

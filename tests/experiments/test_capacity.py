@@ -56,12 +56,14 @@ def test_the_best_scores_so_far_and_whether_they_are_final():
             "image_values": "",
         }
     )  # fmt: skip
-    found = over_seeds_of_times(best_after(curves, [1.0, 30.0, 60.0])).set_index("after")
+    found = over_seeds_of_times(best_after(curves, [1.0, 30.0, 60.0]), 2).set_index("after")
     assert pd.isna(found.loc[1.0, "psnr"]) and list(found["ended"]) == [0, 1, 2]
     assert list(found["seeds"]) == [0, 2, 2] and list(found["psnr"][1:]) == [25.0, 25.0]
     assert list(found["lpips"][1:]) == pytest.approx([0.25, 0.2])
     later = curves.assign(seconds=curves["seconds"] + 30 * curves["seed"])
-    late = over_seeds_of_times(best_after(later, [20.0]))
+    failed = over_seeds_of_times(best_after(curves, [60.0]), 3)
+    assert pd.isna(failed["psnr"][0]) and failed["seeds"][0] == 2  # the third seed's training failed
+    late = over_seeds_of_times(best_after(later, [20.0]), 2)
     assert pd.isna(late["psnr"][0]) and late["seeds"][0] == 1  # a mean would be of the faster seed
 
 

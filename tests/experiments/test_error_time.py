@@ -14,7 +14,7 @@ def curve(label, seconds, psnr, iterations=None):
         {
             "scene": "s", "label": label, "iteration": iterations or [100 * (i + 1) for i in range(len(psnr))],
             "seconds": seconds, "gaussians": 1, "psnr": psnr, "ssim": 0.5, "lpips": None, "depth_abs_rel": 0.1,
-            "image_values": "",
+            "image_values": "", "busy": False,
         }
     )  # fmt: skip
 
@@ -33,6 +33,10 @@ def test_faster_at_equal_iterations_quality_and_time():
     assert table.loc["fast", "equal quality"] == pytest.approx(1 - 15 / 40)
     assert table.loc["fast", "dB more at equal time"] == pytest.approx(27 - 24)
     assert table.loc["short", "equal iterations"] == pytest.approx(1 - 8 / 20)
+    assert set(table["baseline"]) == {"slow"}
+    busy = faster_by(CURVES.assign(busy=CURVES["label"] == "fast"), "slow", ["fast", "short"]).set_index("label")
+    assert busy.loc["short"].equals(table.loc["short"])
+    assert busy.loc["fast"].dropna().index.tolist() == ["scene", "baseline", "that quality (dB)", "image_values"]
 
 
 def experiment(data_root, *overrides):

@@ -5,8 +5,10 @@ import pandas as pd
 import pytest
 
 from tdgbench.bench.options import OptionError
-from tdgbench.cells.record import read_all
-from tdgbench.experiments.priors import Priors, without_prior
+from tdgbench.cells.record import Record, read_all
+from tdgbench.experiments.matrix import MatrixCell
+from tdgbench.experiments.prior_accuracy import PriorErrors
+from tdgbench.experiments.priors import MeasuredScene, Priors, without_prior
 from tests.helpers.command import command_here
 from tests.helpers.configs import SMALL, config
 
@@ -68,6 +70,28 @@ def test_without_a_prior_all_else_is_as_with_one():
     assert without.method.name == "3dgs_smooth" and without.budget.iterations == cfg.budget.iterations == 10_000
     assert (without.method.method.lambda_smooth, without.method.method.smoothness_reading) == (0.1, "released")
     assert cfg.study.without.method.lambda_smooth == 0.6
+
+
+def test_a_gain_is_of_all_seeds():
+    """With one training less, also the one without a prior, there is none, and the table says why."""
+    cfg = config("+experiment=priors", "study.seeds=[0,1]")
+    cfg.study.priors = {"near": {}, "far": {}}
+    psnr = {("none", 0): 20.0, ("none", 1): 22.0, ("near", 0): 23.0, ("near", 1): 24.0, ("far", 0): 19.0}
+
+    def cells():
+        for (prior, seed), value in psnr.items():
+            one = Record("tdg", "synthetic", "orbit", "colmap", seed, "priors", prior, scores={"psnr": value})
+            yield MatrixCell({"scene": "orbit", "prior": prior, "seed": seed}, cfg, None, one)
+
+    study = Priors()
+    study.measured = {"orbit": MeasuredScene("", {"near": PriorErrors(), "far": PriorErrors()})}
+    table = study.tables(cfg, list(cells()))["priors"].set_index("prior")
+    assert table.loc["near", "psnr_gain"] == 2.5 and table.loc["near", "reason"] == ""
+    assert pd.isna(table.loc["far", "psnr_gain"]) and table.loc["far", "reason"] == "a training failed"
+    del psnr["none", 1]
+    table = study.tables(cfg, list(cells()))["priors"].set_index("prior")
+    assert pd.isna(table.loc["near", "psnr_gain"]) and table.loc["near", "psnr"] == 23.5
+    assert table.loc["near", "reason"] == "a training without a prior failed"
 
 
 def test_another_method_needs_its_own_training_without_a_prior():

@@ -69,6 +69,12 @@ RECORDS = [
 ]  # fmt: skip
 
 
+def summary_of(records, names=("gray",), scenes=None):
+    """The summary of trainings, of which those in `scenes` may have no record at all."""
+    places = {(scene, seed) for scene in scenes or {r.scene for r in records} for seed in {r.seed for r in records}}
+    return summary(rows_of(records), list(names), pd.MultiIndex.from_tuples(sorted(places), names=["scene", "seed"]))
+
+
 def test_rows_compare_with_the_same_scene_without_skips():
     table = rows_of(RECORDS).set_index(["scene", "variant"])
     assert table.loc[("a", "all"), "change of psnr"] == pytest.approx(-0.01)
@@ -78,7 +84,7 @@ def test_rows_compare_with_the_same_scene_without_skips():
 
 
 def test_summary():
-    table = summary(rows_of(RECORDS), ["gray"]).set_index("skip")
+    table = summary_of(RECORDS).set_index("skip")
     assert table.loc["gray", "faster_alone"] == pytest.approx(2**0.5)
     assert table.loc["gray", "slower_without"] == pytest.approx(2**0.5)
     assert table.loc["gray", "taken_on"] == "a" and list(table["scenes"]) == [2, 2] and list(table["seeds"]) == [1, 1]
@@ -98,31 +104,34 @@ def test_a_loss_within_the_noise_of_the_seeds_is_none():
                 one.seed = seed
                 yield one
 
-    noisy = summary(rows_of(list(cells("a"))), ["gray"]).iloc[0]
+    noisy = summary_of(list(cells("a"))).iloc[0]
     assert (
         noisy["default_may_be"] == "undecided"
         and noisy["psnr_worst"] == pytest.approx(0.0)
         and noisy["psnr_error"] > 0.1
     )
-    steady = summary(rows_of([*cells("a"), *cells("b")]), ["gray"]).iloc[0]
+    steady = summary_of([*cells("a"), *cells("b")]).iloc[0]
     assert steady["default_may_be"] == "off" and steady["psnr_worst"] == pytest.approx(-0.11)
 
     for scene in ("c", "d"):  # small, and none with one seed
-        assert summary(rows_of(list(cells(scene))), ["gray"]).iloc[0]["default_may_be"] == "on"
+        assert summary_of(list(cells(scene))).iloc[0]["default_may_be"] == "on"
 
 
 def test_a_missing_cell_a_busy_machine_and_a_skip_that_was_not_taken_have_no_verdict():
     some = [one for one in RECORDS if (one.scene, one.variant) != ("b", "only gray")]
-    row = summary(rows_of(some), ["gray"]).iloc[0]
+    row = summary_of(some).iloc[0]
     assert row["default_may_be"] == "n/a" and pd.isna(row["faster_alone"]) and pd.isna(row["psnr_worst"])
     assert row["slower_without"] == pytest.approx(2**0.5)
     busy = copy.deepcopy(RECORDS)
     busy[0].backend, busy[0].train_processor_seconds = "cpu", 4.0  # of 8 s
-    assert pd.isna(summary(rows_of(busy), ["gray"]).iloc[0]["faster_alone"])
+    assert pd.isna(summary_of(busy).iloc[0]["faster_alone"])
     idle = copy.deepcopy(RECORDS)
     for one in idle:
         one.skips = []
-    found = summary(rows_of(idle), ["gray"])
+    failed = summary_of([one for one in RECORDS if one.scene == "a"], scenes=["a", "b"])
+    assert (failed["default_may_be"] == "n/a").all() and list(failed["scenes"]) == [2, 2]
+    assert failed[["faster_alone", "slower_without", "memory_alone", "psnr_worst"]].isna().all(axis=None)
+    found = summary_of(idle)
     assert (found["default_may_be"] == "n/a").all() and found["faster_alone"].isna().all()
     assert found["slower_without"].isna().all() and found["memory_alone"].isna().all()
 

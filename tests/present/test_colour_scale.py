@@ -42,5 +42,24 @@ def test_a_level_of_noise_is_no_contrast():
     assert np.ptp(in_colour(np.uint8([[[127], [128]]]), scale.low, scale.high).astype(int), axis=1).max() < 30
 
 
+@pytest.mark.parametrize("level", [0, 1, 254, 255])
+def test_the_narrowest_scale_is_as_wide_at_the_ends_of_the_range(level):
+    scale = colour_scale(np.full((5, 5, 1), level, np.uint8))
+    assert NARROWEST <= scale.high - scale.low + 1e-9 < 1.5 * NARROWEST
+    assert 0 <= scale.low <= level / 255 <= scale.high <= 1
+
+
+def test_other_ranges_have_the_same_degrees_at_the_ends():
+    scale = colour_scale(facade(0.0), degrees=(-22, 7))
+    other = scale.of_range((-30, 20))
+    assert np.allclose(
+        [29 * end - 22 for end in (scale.low, scale.high)], [50 * e - 30 for e in (other.low, other.high)]
+    )
+    assert other.error * 50 == pytest.approx(scale.error * 29) and other.sentence == scale.sentence
+    assert scale.of_range((-22, 7)) is scale
+    with pytest.raises(ValueError, match="unknown"):
+        scale.of_range(None)
+
+
 def test_a_palette_has_no_scale():
     assert colour_scale(np.zeros((3, 4, 3), np.uint8), degrees=(0, 9)) == ColourScale()

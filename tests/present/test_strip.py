@@ -11,6 +11,7 @@ from PIL import Image
 
 from tdgbench.cells.folder import CellFolder
 from tdgbench.present.strip import draw_strip
+from tdgbench.present.view_pictures import view_pictures, view_scale
 from tdgbench.tables.results import read_results
 from tests.helpers.records import record
 
@@ -53,6 +54,28 @@ def test_initial_points_and_overrides_have_columns_of_their_own(tmp_path):
         assert draw_strip(cells, tmp_path / f"{name}.png")
     one, both = (Image.open(tmp_path / f"{name}.png").width for name in "ab")
     assert both == pytest.approx(one * 5 / 3, abs=2)  # ground truth, then render and error of each
+
+
+def test_methods_of_other_ranges_of_temperature_share_a_scale(tmp_path):
+    ranges, renders = {"a": [10.0, 20.0], "b": [0.0, 40.0], "c": None}, {"a": 51, "b": 76, "c": 51}  # 12 °C
+    cells = {
+        name: drawn_cell(tmp_path / name, scores={"psnr": 20.0}, temperature_range=span)
+        for name, span in ranges.items()
+    }
+    for name, cell in cells.items():
+        truth = np.linspace(11, 17, 40)[None].repeat(30, 0)
+        low, high = ranges[name] or (10, 20)
+        Image.fromarray(np.round(255 * (truth - low) / (high - low)).astype(np.uint8)).save(
+            cell.folder / "targets/v.png"
+        )
+        Image.new("L", (40, 30), renders[name]).save(cell.folder / "renders" / "v.png")
+    scale = view_scale([cells["a"], cells["b"]], "v")
+    shown = {name: view_pictures(cells[name], "v", scale) for name in "ab"}
+    for a, b in zip(shown["a"], shown["b"], strict=True):
+        assert np.abs(a.astype(int) - b).max() <= 20  # of 255: a level of b is 0.16 °C
+    assert scale.error == pytest.approx(np.quantile(cells["a"].pictures("v").error, 0.95), 0.05)
+    with pytest.raises(ValueError, match="unknown"):
+        view_pictures(cells["c"], "v", scale)
 
 
 @pytest.mark.parametrize("mode", ["L", "RGB"])

@@ -146,6 +146,29 @@ def test_with_another_number_all_is_computed_from_the_files(msmg, monkeypatch):
         assert after.scores[name] == pytest.approx(before.scores[name], rel=1e-4), name
 
 
+def test_options_that_are_not_named_stay_those_of_the_cell(msmg, tmp_path, monkeypatch):
+    """A cell of SqueezeNet that gets a metric more keeps its LPIPS; the file that its record names is not opened."""
+    weights = tmp_path / "squeeze.pth"
+    torch.save({f"features.{name}": value for name, value in random_state("squeeze").items()}, weights)
+    assert score(msmg, "b", "metrics=standard", "metrics.lpips.net=squeeze", f"metrics.lpips.weights={weights}") == 0
+    squeeze = record_of(msmg.with_name("b") / MSMG)
+    elsewhere = weights.rename(tmp_path / "moved.pth")
+    (tmp_path / "own_metrics.py").write_text(
+        "from tdgbench.scoring.metric import ImageMetric\n"
+        "MEAN = ImageMetric(name='mean', label='mean', order=500, of_images=lambda pair: float(pair.image.mean()))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert score(msmg.with_name("b"), "c", "metrics.extra=[own_metrics.MEAN]") == 0
+    both = record_of(msmg.with_name("c") / MSMG)
+    assert both.scores.pop("mean") > 0 and both.scores == squeeze.scores
+    assert (both.convention, both.setting("metrics.lpips")) == ("standard", squeeze.setting("metrics.lpips"))
+    assert score(msmg.with_name("b"), "d", f"metrics.lpips.weights={elsewhere}") == 0
+    moved = record_of(msmg.with_name("d") / MSMG)
+    assert moved.setting("metrics.lpips.net") == "squeeze" and moved.scores == squeeze.scores
+    chosen = read_options(["metrics.lpips.net=vgg"]).of_cell(squeeze.setting("metrics"))
+    assert chosen["convention"] == "standard" and chosen["lpips"] == read_options(["metrics=3dgs"]).metrics["lpips"]
+
+
 def test_of_other_programs_renders_there_is_no_model(msmg, monkeypatch):
     folder = msmg / MSMG
     content = json.loads((folder / RECORD_FILE).read_text())
