@@ -43,6 +43,7 @@ def write_page(
         legend=legend(table),
         pictures=[picture(", ".join(filter(None, place)) + f", seed {seed}", pair)
                   for place, (seed, pair) in shown[:MOST_PICTURES]],
+        pictures_left_out=max(0, len(shown) - MOST_PICTURES),
     )  # fmt: skip
     write_text(path, html)
 

@@ -24,6 +24,8 @@ def main(arguments: list[str]) -> int:
     path, name = pack(options.experiment, options.out, options.keep_paths)
     for title, missing in items:
         say(one_line(f"{title}: {missing}" if missing else title), "missing:" if missing else "ok:")
+    if own := sorted(table.name for table in options.experiment.glob("*.csv")):
+        say(one_line(f"not in the pack: {', '.join(own)}, which its experiment writes again"), "data:")
     say(f"{path}: {path.stat().st_size / 2**20:.2f} MB, SHA-256 of its manifest {name}")
     return 0
 

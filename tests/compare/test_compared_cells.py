@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from tdgbench.cells.record import Failure, read_record
+from tdgbench.compare import comparison_page
 from tdgbench.compare.causes import find_causes
 from tdgbench.compare.compare_command import main
 from tests.helpers.compared import pairs_of, rows_of, two_experiments
@@ -222,7 +223,7 @@ def test_without_a_common_cell_the_folders_are_named(tmp_path, capsys):
     assert main([str(tmp_path / "a"), str(tmp_path / "c")]) == 2
 
 
-def test_page_and_table_show_the_view_that_differs_most(tmp_path, small_results, capsys):
+def test_page_and_table_show_the_view_that_differs_most(tmp_path, small_results, monkeypatch):
     a, b = (shutil.copytree(small_results, tmp_path / name) for name in "ab")
     folder = next(path.parent for path in sorted(b.rglob("record.json")) if read_record(path.parent).failure is None)
     views = pd.read_csv(folder / "views.csv")
@@ -236,9 +237,14 @@ def test_page_and_table_show_the_view_that_differs_most(tmp_path, small_results,
     page = (tmp_path / "out" / "compare.html").read_text()
     assert "n/a: views.csv is missing or unusable" in page
     assert f"test view {views.loc[1, 'view']}" in page
-    assert page.count("<figure>") == 3 * (len(pairs_of(a, b)) - 1)
+    places = len(pairs_of(a, b))
+    assert page.count("<figure>") == 3 * (places - 1) and "more scenes" not in page
     table = pd.read_csv(tmp_path / "out" / "compare.csv")
     assert set(table["verdict"].dropna()) == {"identical", "not compared"}
+    monkeypatch.setattr(comparison_page, "MOST_PICTURES", 1)
+    assert main([str(a), str(b), "--out", str(tmp_path / "out")]) == 0
+    page = (tmp_path / "out" / "compare.html").read_text()
+    assert f"{places - 1} more scenes and methods have none here." in page
 
 
 def test_an_average_over_equal_places_says_so(tmp_path, capsys):

@@ -276,7 +276,9 @@ def test_the_checklist_names_what_is_missing(small_results, tmp_path):
 
 def test_the_commands(small_results, packed, tmp_path):
     shutil.copytree(small_results, tmp_path / "results" / "mine")
+    (tmp_path / "results" / "mine" / "skips.csv").write_text("skip\n")
     run = tdgbench_here(tmp_path, "pack", "results/mine", "--out", "mine.zip", "--keep-paths")
+    assert "not in the pack: skips.csv" in run.stdout
     assert run.returncode == 0 and "missing: 2 of 3 seeds of each cell" in run.stdout and "SHA-256" in run.stdout
     run = tdgbench_here(tmp_path, "unpack", "mine.zip", "results/theirs")
     assert run.returncode == 0 and "files of mine" in run.stdout
