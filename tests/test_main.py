@@ -185,15 +185,21 @@ def test_version_and_hydra_s_help(tmp_path):
     assert "lambda_depth: 0.2" in tdgbench_here(tmp_path, "--cfg", "job").stdout
 
 
-def test_a_method_with_the_name_of_another_one_is_refused(tmp_path):
-    """As a copied YAML file or an option has it: its cells would be those of the other method."""
+def test_a_method_or_init_with_the_name_of_another_one_is_refused(tmp_path):
+    """As a copied YAML file or an option has it: its cells would be those of the other one."""
     (tmp_path / "yaml" / "method").mkdir(parents=True)
     shutil.copy(ROOT / "conf" / "method" / "3dgs.yaml", tmp_path / "yaml" / "method" / "mine.yaml")
     run = command_here(tmp_path, "--config-dir", "yaml", "method=mine", "scene=facade", *QUICK)
     assert run.returncode == 1
-    assert run.stderr == "error: method.name=3dgs: is another method; set `name: mine` in mine.yaml\n"
+    said = "method.name=3dgs: would have cells of another method; set `name: mine` in mine.yaml"
+    assert run.stderr == f"error: {said}\n"
+    (tmp_path / "yaml" / "init").mkdir()
+    shutil.copy(ROOT / "conf" / "init" / "random.yaml", tmp_path / "yaml" / "init" / "small.yaml")
+    run = command_here(tmp_path, "--config-dir", "yaml", "method=3dgs", "init=small", "scene=facade", *QUICK)
+    said = "init.name=random: would have cells of another init; set `name: small` in small.yaml"
+    assert run.returncode == 1 and run.stderr == f"error: {said}\n"
     run = command_here(tmp_path, "method=renders", "method.folder=x", "method.name=3dgs", "scene=facade", *QUICK)
-    said = "method.name=3dgs: is the name of a method of tdgbench; choose another, such as method.name=3dgs_authors"
+    said = "method.name=3dgs: is a name of tdgbench's; choose another, such as method.name=3dgs_authors"
     assert run.returncode == 1 and run.stderr == f"error: {said}\n"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from filecmp import cmp
 from pathlib import Path
@@ -109,16 +109,23 @@ def check_choices(cfg: DictConfig) -> None:
         raise OptionError([Problem(unread[0].parent.name, what, unread[0].stem)])
 
 
-def check_method_name(cfg: DictConfig, choice: str | None) -> None:
-    """Check the names in a method's file, <choice>.yaml: of a method of tdgbench, whose cells its own would be, and of
-    a baseline that is no method, none of the user's folders and none with cells here. Raises OptionError.
+def check_cell_names(cfg: DictConfig, chosen: Mapping[str, Any]) -> None:
+    """Check the names that decide a cell's folder, of the method and the initial points: they are those of their files,
+    <choice>.yaml, or typed, and then none of tdgbench's. So is the name of the method's baseline, which must be a
+    method, one of the user's folders, or have cells here. chosen: the choices by group. Raises OptionError.
     """
-    name, baseline = (OmegaConf.select(cfg, f"method.{key}") for key in ("name", "compared_with"))
-    if choice not in (None, name) and name in choices("method"):
-        what = f"is another method; set `name: {choice}` in {choice}.yaml"
-        if choice in choices("method"):
-            what = f"is the name of a method of tdgbench; choose another, such as method.name={name}_authors"
-        raise OptionError([Problem("method.name", what, name)])
+    for group in ("method", "init"):
+        name, choice = OmegaConf.select(cfg, f"{group}.name"), chosen.get(group)
+        if choice in (None, name):
+            continue
+        if not _is_typed(cfg, f"{group}.name"):
+            what = f"would have cells of another {group}; set `name: {choice}` in {choice}.yaml"
+        elif name in choices(group):
+            what = f"is a name of tdgbench's; choose another, such as {group}.name={name}_authors"
+        else:
+            continue
+        raise OptionError([Problem(f"{group}.name", what, name)])
+    baseline = OmegaConf.select(cfg, "method.compared_with")
     experiment = Path(str(cfg.results)) / str(cfg.name)
     known = [*choices("method"), *(path.name for path in (experiment / "cells").glob("*"))]
     if baseline not in (None, *known):
@@ -144,10 +151,16 @@ def _folders_of_user(cfg: DictConfig) -> list[Path]:
     return [Path(source.path) for source in sources if source.provider == "command-line"]
 
 
+def _is_typed(cfg: DictConfig, option: str) -> bool:
+    """Return whether the command line names an option."""
+    hydra = _hydra_of(cfg)
+    return hydra is not None and any(word.lstrip("+").startswith(f"{option}=") for word in hydra.overrides.task)
+
+
 def _written_in(cfg: DictConfig, option: str) -> str:
     """Return ` (in FILE)` for an option of a chosen file of the user's folders that is not typed; else nothing."""
     group, hydra = option.partition(".")[0], _hydra_of(cfg)
-    if hydra is None or any(word.lstrip("+").startswith(f"{option}=") for word in hydra.overrides.task):
+    if hydra is None or _is_typed(cfg, option):
         return ""
     files = (folder / group / f"{hydra.runtime.choices.get(group)}.yaml" for folder in _folders_of_user(cfg))
     return next((f" (in {path})" for path in files if path.is_file()), "")

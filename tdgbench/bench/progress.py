@@ -167,7 +167,7 @@ class Outcome:
         """
         scores = f", {self.scores}" if self.scores else ""
         first = self.message.partition("\n")[0]
-        remark = f" ({first})" if first and self.status in ("ok", "failed") else ""
+        remark = f" ({first})" if first and self.status in ("ok", "failed", "kept") else ""
         return f"{self.title}: {WORDS[self.status]}{scores}{remark}"
 
 

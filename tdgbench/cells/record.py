@@ -67,7 +67,9 @@ class PartReport(TypedDict, total=False):
     pruned: Count
     background: list[float]  # (C,) image value behind the Gaussians; left out: black
     settled_at: Count  # of a curriculum: the iteration at which its training settled; 0: it did not
-    checks: list[list[int | float]]  # of held-out views: iteration, scale of the images, mean PSNR in dB
+    checks: list[
+        list[Annotated[int | float, Field(ge=-LARGEST_SCORE, le=LARGEST_SCORE)]]
+    ]  # of held-out views: iteration, scale of the images, mean PSNR in dB
     reason: Text  # why it settled
 
 

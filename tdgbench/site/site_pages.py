@@ -58,7 +58,7 @@ from tdgbench.tables.likeness import (
 )
 from tdgbench.tables.long_table import method_label, metric_value
 from tdgbench.tables.measures import AVERAGE, HOURS, as_text, measure_of
-from tdgbench.tables.overrides import filed, training_in_words
+from tdgbench.tables.overrides import filed, override_notes, training_in_words
 from tdgbench.tables.palette import IN_SOME, MARK, WORDS
 from tdgbench.tables.published_setup import BUDGET
 from tdgbench.tables.results import Cell
@@ -270,6 +270,10 @@ def _caveats(rows: Sequence[BoardRow]) -> list[str]:
         found.append(f"Times do not compare between: {'; '.join(sorted(map(machine_in_words, machines)))}.")
     records = list({cell.folder: cell.record for row in timed for cell in row.cells}.values())  # each once
     found += [f"{note[0].upper()}{note[1:]}." for note in (*times_at_once(records), *disturbed_notes(records))]
+    for row in rows:
+        with own_columns(row.pack.plan):
+            notes = override_notes(row.records, lambda _, column=row.column: column)  # type: ignore[misc]
+        found += [one for note in notes if (one := f"{row.pack.name}: {note}.") not in found]
     return found + [f"The depth prior of {', '.join(who)} is made from {what}." for what, who in given.items() if what]
 
 

@@ -187,8 +187,8 @@ def machine_in_words(machine: tuple[str, ...]) -> str:
 
 def times_at_once(records: Iterable[Record]) -> list[str]:
     """Return the note that cells shared a machine, in a list; empty if each ran alone."""
-    found = {record.environment.get("cells_at_once") for record in records}
-    numbers = sorted(number for number in found if isinstance(number, int))
+    found = (record.environment.get("cells_at_once") for record in records)
+    numbers = sorted({number for number in found if isinstance(number, int)})
     if not numbers or numbers[-1] < 2:
         return []
     return [f"times are of {' or '.join(map(str, numbers))} cells at once, which may slow each other down"]

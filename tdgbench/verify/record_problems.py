@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from tdgbench.cells.cameras import Cameras
@@ -51,6 +51,8 @@ def setting_problems(record: Record) -> Iterator[str]:
     """Yield fields that differ from the configuration, and settings of scores that are unknown."""
     stated = {"method.name": record.method, "init.name": record.init, "seed": record.seed}
     stated["metrics.convention"] = record.convention
+    if record.prior is not None:
+        stated["prior.made_from"] = record.prior_made_from
     for name, value in stated.items():
         if record.setting(name) != value:
             yield f"{RECORD_FILE}: {name} is {value!r}, its configuration has {record.setting(name)!r}"
@@ -73,6 +75,9 @@ def log_problems(record: Record, log: list[dict[str, float]]) -> Iterator[str]:
         yield f"{RECORD_FILE}: iterations is {record.iterations}, its configuration has {planned}"
     if last["gaussians"] != sum(record.gaussians.values()):
         yield f"{RECORD_FILE}: gaussians is {record.gaussians}, {LOG_FILE} ends with {last['gaussians']:g}"
+    seconds = [row["seconds"] for row in log]
+    if seconds != sorted(seconds):
+        yield f"{LOG_FILE}: its seconds do not increase"
     if last["seconds"] > record.seconds["train"] + TIME_TOLERANCE:
         yield f"{RECORD_FILE}: seconds.train is {record.seconds['train']}, {LOG_FILE} ends at {last['seconds']}"
 
@@ -97,17 +102,20 @@ def model_problems(cell: CellFolder) -> Iterator[str]:
 
 
 def parameter_problems(cell: CellFolder) -> Iterator[str]:
-    """Check the recorded numbers of parameters against those of stored parts, where there are any."""
-    if not cell.has_parts:
-        return
+    """Check the recorded numbers of parameters against those of stored parts or, without any, of stored Gaussians."""
+    stored: Mapping[str, Mapping[str, object]]
     try:
-        stored = cell.method().reports()
-    except ValueError:
+        if cell.has_parts:
+            stored, file = cell.method().reports(), PARTS_FILE
+        else:
+            sizes = {name: sum(x.numel() for _, x in one.items()) for name, one in cell.models().items()}
+            stored, file = {name: {"parameters": size} for name, size in sizes.items()}, "its model"
+    except (OSError, ValueError):
         return  # renders cannot be made either, which is said there
-    for name in sorted({*stored, *cell.record.parts}):
+    for name in sorted(stored):
         found, stated = (dict(one.get(name, {})).get("parameters") for one in (stored, cell.record.parts))
-        if name in stored and found != stated:
-            yield f"{RECORD_FILE}: parts.{name}.parameters is {stated}, {PARTS_FILE} has {found}"
+        if found != stated and cell.record.made_elsewhere is None:
+            yield f"{RECORD_FILE}: parts.{name}.parameters is {stated}, {file} has {found}"
 
 
 def train_score_problems(record: Record) -> Iterator[str]:

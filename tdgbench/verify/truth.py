@@ -7,21 +7,26 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from tdgbench.bench.record_of_run import state_assumptions, state_values
 from tdgbench.cells.folder import TARGETS, CellFolder
 from tdgbench.cells.ground_truth import same_truth, truth_hash, truth_of
 from tdgbench.cells.known_classes import built, known_classes
+from tdgbench.cells.paths import files_of
 from tdgbench.cells.read_files import MOST_PIXELS
 from tdgbench.cells.record import Record
-from tdgbench.scenes import SceneError
+from tdgbench.scenes import Scene, SceneError, View
 from tdgbench.scenes.datasets import outline_of
 from tdgbench.scenes.images import degC_of_values
+from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL, image_of
 from tdgbench.scenes.synthetic import SyntheticDataset
+from tdgbench.scoring import to_8bit
 from tdgbench.text import first_few
 from tdgbench.verify.problems import NotCheckedError
 
@@ -33,11 +38,10 @@ NAME_IT = "name the folder of its data with --data DIR"
 
 
 class Truth(NamedTuple):
-    """What the data say of a scene. images: ground truth of each test view. range: °C of 0 and 1, if it is known."""
+    """A scene as the data give it. images: thermal ground truth of each test view."""
 
     images: dict[str, np.ndarray]
-    range: list[float] | None
-    dataset: str = ""
+    scene: Scene
 
 
 class TrueData:
@@ -75,8 +79,7 @@ class TrueData:
                 if view.camera.width * view.camera.height > MOST_PIXELS:
                     raise ValueError(f"{view.name} would have {view.camera.width}×{view.camera.height} px")
             scene = outline.read()
-            images = {view.name: truth_of(view) for view in scene.test}
-            self._read[key] = Truth(images, degC_of_values(scene), scene.dataset)
+            self._read[key] = Truth({view.name: truth_of(view) for view in scene.test}, scene)
         return self._read[key]
 
     def _spend(self, loader: dict[str, Any]) -> None:
@@ -112,21 +115,47 @@ def truth_problems(cell: CellFolder) -> Iterator[str]:
 
 
 def data_problems(cell: CellFolder, data: TrueData) -> Iterator[str]:
-    """Yield test views whose ground truth is not that of the data, and another range. Raises as `TrueData.truth_of`."""
-    views, record = list(cell.test_cameras), cell.record
+    """Yield views that are not those of the data, test views with another ground truth, and facts of the record that
+    the data contradict. Raises as `TrueData.truth_of`.
+    """
+    record, title = cell.record, f"{cell.record.dataset}/{cell.record.scene}"
     try:
-        truth, span, dataset = data.truth_of(record)
+        truth, scene = data.truth_of(record)
     except SceneError as error:
         raise ValueError(str(error)) from error
-    if dataset != record.dataset:
-        yield f"its data set is {record.dataset}, that of the data {dataset}"
-    unknown = set(views) ^ set(truth)
-    if unknown:
-        yield f"its test views are not those of the data: {first_few(unknown)}"
-    other = [view for view in views if view in truth and not same_truth(cell.truth(view), truth[view])]
-    if other:
-        scene = f"{record.dataset}/{record.scene}"
-        yield f"the ground truth of {len(other)} of {len(views)} test views is not that of {scene}: {first_few(other)}"
-    stated = record.temperature_range
+    for name, words in {"dataset": "data set", "split": "split", "group": "group"}.items():
+        if getattr(record, name) != getattr(scene, name):
+            yield f"its {words} is {getattr(record, name)}, that of the data {getattr(scene, name)}"
+    for words, cameras, views in (
+        ("training", cell.cameras["train"], scene.train),
+        ("test", cell.test_cameras, scene.test),
+    ):
+        if unknown := set(cameras) ^ {view.name for view in views}:
+            yield f"its {words} views are not those of the data: {first_few(unknown)}"
+    there = [view for view in scene.test if view.name in cell.test_cameras]
+    of_modality = {THERMAL: [one.name for one in there if not same_truth(cell.truth(one.name), truth[one.name])]}
+    for modality in OTHERS:
+        kind = files_of(modality).targets
+        of_modality[modality] = [
+            one.name
+            for one in there
+            if cell.has(kind, one.name) and not _is_picture_of(one, modality, cell.picture(kind, one.name))
+        ]
+    for modality, other in of_modality.items():
+        if other:
+            what = "ground truth" if modality == THERMAL else f"{LABELS[modality]} ground truth"
+            yield f"the {what} of {len(other)} of {len(there)} test views is not that of {title}: {first_few(other)}"
+    stated, span = record.temperature_range, degC_of_values(scene)
     if not (stated == span or (stated and span and np.allclose(stated, span, rtol=0, atol=MAX_DEGC))):
         yield f"temperature_range is {stated}, by the data {span}"
+    by_data = replace(record)
+    state_assumptions(by_data, scene)
+    state_values(by_data, scene)
+    if record.assumed and (record.assumed.keys() != by_data.assumed.keys() or record.in_palette != by_data.in_palette):
+        yield f"what it assumes ({first_few(record.assumed)}) is not what the data need ({first_few(by_data.assumed)})"
+
+
+def _is_picture_of(view: View, modality: str, stored: np.ndarray) -> bool:
+    """Return whether a stored picture (H, W, C) uint8 is the view's image of a modality, but for rounding."""
+    image = image_of(view, modality)
+    return image is not None and same_truth(stored, to_8bit(image))

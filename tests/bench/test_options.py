@@ -8,7 +8,7 @@ from omegaconf import OmegaConf
 from tdgbench.bench.options import (
     OptionError,
     check_experiment_options,
-    check_method_name,
+    check_cell_names,
     check_options,
     names_to_text,
 )
@@ -188,9 +188,9 @@ def test_the_file_of_a_method_of_the_user_is_named(tmp_path):
         check_options(composed("method.order=first"))
     (tmp_path / "method" / "broken.yaml").write_text("name: a: b\n")
     with pytest.raises(OptionError, match=f"is no method, .*; did you mean 3dgs. .in {file}"):
-        check_method_name(composed("method.compared_with=3dg"), None)
+        check_cell_names(composed("method.compared_with=3dg"), {})
     for baseline in ("3dgs", "mine", "broken"):
-        check_method_name(composed(f"method.compared_with={baseline}"), None)
+        check_cell_names(composed(f"method.compared_with={baseline}"), {})
 
 
 @pytest.mark.parametrize(

@@ -156,7 +156,7 @@ def test_the_outcome_names_what_changed(tiny_cell):
     outcome = tiny_cell("budget.iterations=31")
     assert outcome.status == "ok" and outcome.message == "run again, changed: budget.iterations: 12 → 31"
     kept = tiny_cell("overwrite=never", "seed=0", "budget.sh_degree=0")
-    assert kept.status == "kept" and "overwrite=never" in kept.message
+    assert kept.status == "kept" and "overwrite=never" in kept.line
     assert "budget.sh_degree: 1 → 0" in kept.message
     assert read_all(tiny_cell.experiment)[0].iterations == 31
 

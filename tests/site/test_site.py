@@ -206,6 +206,15 @@ def test_checkpoints_chosen_by_test_views_have_no_rank(tmp_path):
     assert "ours: its checkpoint was chosen by test views" in (site / "index.html").read_text()
 
 
+def test_changed_options_stand_on_the_board(tmp_path):
+    options = {"method": {"method": {"lambda_depth": 0.0}}}
+    write(tmp_path / "changed", "tdg", "Truck", config=options)
+    folder = make(tmp_path / "site", pack(tmp_path / "changed", tmp_path / "changed.zip", keep_paths=True)[0])
+    said = "changed.zip: not as its file says: TDg: method.method.lambda_depth=0.0."
+    for page in ("index.html", "methods/tdg.html"):
+        assert said in (folder / page).read_text()
+
+
 def test_a_method_with_a_failed_seed_is_shown_with_the_reason(tmp_path):
     for method in ("tdg", "3dgs"):
         for seed in range(3):

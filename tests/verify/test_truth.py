@@ -70,6 +70,41 @@ def test_another_data_set_s_name_is_found(small_results, tmp_path):
     )
 
 
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"split": "every_8th"}, "its split is every_8th, that of the data eighty_twenty"),
+        ({"group": "night"}, "its group is night, that of the data "),
+        ({"assumed": {"values": "palette (pseudo-colour), not temperature"}}, "is not what the data need"),
+        ({"prior": {"made_from": "thermal images"}}, "prior.made_from is 'thermal images', its configuration has"),
+        ({"parts": {"thermal": {"gaussians": 300, "parameters": 1}}}, "parts.thermal.parameters is 1, its model has"),
+    ],
+)
+def test_facts_that_data_or_files_contradict_are_found(fields, said, small_results, tmp_path):
+    cell = tmp_path / "a" / OURS
+    shutil.copytree(small_results / OURS, cell)
+    replace(read_record(cell), **fields).write(cell)
+    assert any(said in problem for problem in verify(tmp_path / "a").problems)
+
+
+def test_a_forged_rgb_truth_and_left_out_training_views_are_found(small_results, tmp_path):
+    """Whatever the hashes say: of RGB, scores are columns of tables."""
+    place = OURS.replace("tdg/", "msmg/", 1)
+    cell = tmp_path / "a" / place
+    shutil.copytree(small_results / place, cell)
+    for path in (cell / "targets_rgb").glob("*.png"):
+        shutil.copy(cell / "renders_rgb" / path.name, path)
+    cameras = json.loads((cell / "cameras.json").read_text())
+    cameras["train"] = dict(list(cameras["train"].items())[2:])
+    (cell / "cameras.json").write_text(json.dumps(cameras))
+    record = read_record(cell)
+    views = {**record.views, "train": record.views["train"] - 2}
+    replace(record, views=views, hashes=hashes_below(cell)).write(cell)
+    problems = verify(tmp_path / "a").problems
+    assert any("the RGB ground truth of 2 of 2 test views is not that of synthetic/turntable" in p for p in problems)
+    assert any("its training views are not those of the data" in problem for problem in problems)
+
+
 def test_what_was_not_compared_is_said(forged, small_results, tmp_path, capsys, monkeypatch):
     """Of scenes that are not built in, without --data; with it, they are read from there."""
     monkeypatch.setattr(truth, "BUILT_IN", "another")

@@ -11,7 +11,7 @@ from pathlib import Path
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from tdgbench.bench.options import OptionError, check_method_name, check_options, names_to_text, without_hydra
+from tdgbench.bench.options import OptionError, check_cell_names, check_options, names_to_text, without_hydra
 from tdgbench.bench.progress import Outcome
 from tdgbench.bench.run_cell import known_outcome
 from tdgbench.cells.plan import (
@@ -76,7 +76,7 @@ def finished_outcomes(cfg: DictConfig, jobs: Jobs, plan: Plan) -> list[Outcome]:
     for words in jobs.words:
         one = jobs.compose(words)
         try:
-            check_method_name(one, one.hydra.runtime.choices.get("method"))
+            check_cell_names(one, one.hydra.runtime.choices)
             outcome = known_outcome(names_to_text(without_hydra(one)), plan.variant(words))
         except Exception:  # whatever it is, the job says it
             return []

@@ -18,7 +18,7 @@ from omegaconf import DictConfig
 from pydantic import TypeAdapter
 
 from tdgbench.bench.failures import error_message
-from tdgbench.bench.options import OptionError, check_method_name
+from tdgbench.bench.options import OptionError, check_cell_names
 from tdgbench.bench.progress import CellProgress, Outcome
 from tdgbench.bench.run_cell import run_cell
 from tdgbench.bench.signature import Problem
@@ -47,8 +47,8 @@ class Sweep(Experiment):
 
     def start(self, cfg: DictConfig) -> None:
         """Write the plan, and end the run here if no job has anything to do."""
-        if "method" not in swept(cfg):
-            check_method_name(cfg, cfg.hydra.runtime.choices.get("method"))
+        if "method" not in swept(cfg) and "init" not in swept(cfg):
+            check_cell_names(cfg, cfg.hydra.runtime.choices)
         jobs = Jobs(cfg)
         plan, cells, without_data = plan_sweep(cfg, jobs)
         folder, outcomes = Path(cfg.results) / cfg.name, finished_outcomes(cfg, jobs, plan)
@@ -102,7 +102,7 @@ def _outcome(cfg: DictConfig, hydra: HydraConf) -> Outcome:
     try:
         plan = plan_of_job(Path(hydra.sweep.dir))
         title = plan.title(overrides)
-        check_method_name(cfg, hydra.runtime.choices.get("method"))
+        check_cell_names(cfg, hydra.runtime.choices)
         cores = pool.available_cores()
         if cfg.threads is None:
             cfg.threads = worker_threads(hydra.launcher, cores, plan.cells_with_data)
