@@ -51,11 +51,9 @@ class ColourScale(NamedTuple):
         other = None if degrees is None else (degrees[0], degrees[1])
         if other == self.degrees or self.ends is None:
             return self
-        if other is None or self.degrees is None:
-            raise ValueError("the °C of its values are unknown, or those of the scale: no colours hold for both")
-        width, share = width_of(other), width_of(self.degrees) / width_of(other)
-        low, high = ((self.degrees[0] - other[0]) / width + share * value for value in (self.low, self.high))
-        return self._replace(low=low, high=high, error=share * self.error, degrees=other)
+        low, high = in_range(self.low, self.high, self.degrees, other)
+        error = self.error * width_of(self.degrees) / width_of(other)
+        return self._replace(low=low, high=high, error=error, degrees=other)
 
     @property
     def span(self) -> str:
@@ -118,6 +116,21 @@ def colour_scale(
         colder=float((values < first * 255).mean()), warmer=float((values > last * 255).mean()),
         degrees=None if degrees is None else (degrees[0], degrees[1]),
     )  # fmt: skip
+
+
+def in_range(
+    low: float, high: float, degrees: Sequence[float] | None, other: Sequence[float] | None
+) -> tuple[float, float]:
+    """Return the image values of the same °C in another range. degrees, other: °C of image values 0 and 1.
+
+    Raises ValueError where one of the ranges is unknown, and the other one is not.
+    """
+    if degrees == other:
+        return low, high
+    if degrees is None or other is None:
+        raise ValueError("the °C of its values are unknown, or those of the scale: no colours hold for both")
+    start, end = (((degrees[0] - other[0]) + width_of(degrees) * value) / width_of(other) for value in (low, high))
+    return start, end
 
 
 def width_of(degrees: Sequence[float] | None) -> float:

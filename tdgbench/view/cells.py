@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +23,7 @@ from tdgbench.text import one_line
 from tdgbench.thermal import ImageResponse
 
 EVERY = 2.0  # seconds between two looks
+PATIENCE = 300  # seconds that the checkpoint of the cell shown may be older than another one's
 NO_CHECKPOINT = "no checkpoint yet (checkpoint=SECONDS of training between two, 120 by default; null: none)"
 
 
@@ -164,6 +165,20 @@ def short_names(records: Sequence[Record]) -> list[str]:
     return names
 
 
+def followed(written: Mapping[Path, int], last: Path | None) -> Path | None:
+    """Return the running cell to show: the last one, but for a checkpoint that is much older, as of a killed training.
+
+    written: when the checkpoints were written, ns.
+
+    >>> a, b = Path("a"), Path("b")
+    >>> followed({a: 0, b: 10**9}, a).name, followed({a: 0, b: 400 * 10**9}, a).name
+    ('a', 'b')
+    """
+    newest = max(written, key=written.__getitem__, default=None)
+    is_old = newest is not None and last in written and written[newest] - written[last] > PATIENCE * 10**9
+    return last if last in written and not is_old else newest
+
+
 class Follower:
     """The cell of an experiment that runs, or ran last."""
 
@@ -195,7 +210,7 @@ class Follower:
         paths = {folder: self._experiment / CHECKPOINTS / f"{folder.name}.pt" for folder in running}
         written = {folder: path.stat().st_mtime_ns for folder, path in paths.items() if path.exists()}
         last = None if self._cell is None else self._cell.cell.folder
-        folder = last if last in written else max(written, key=written.__getitem__, default=None)
+        folder = followed(written, last)
         if folder is None:
             waiting = [f"{record.title} runs, {NO_CHECKPOINT}" for record in running.values() if record is not None]
             return self._result("; ".join(waiting))
@@ -207,7 +222,7 @@ class Follower:
             if method.stage_modality != THERMAL:
                 raise ValueError(f"{record.title}: iteration {method.iterations:,}, not trained on thermal images yet")
             count, at = sum(map(len, method.models.values())), time.localtime(written[folder] / 1e9)
-            state = f"iteration {method.iterations:,}{_counted(count)} at {time.strftime('%H:%M:%S', at)}"
+            state = f"iteration {method.iterations:,}{_counted(count)} at {time.strftime('%Y-%m-%d %H:%M:%S', at)}"
             self._cell = ViewedCell(cell, method.models, cameras["train"], cameras["test"], method, state)
             self._seen = folder, written[folder]
         return self._words()

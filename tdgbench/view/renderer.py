@@ -10,6 +10,7 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from tdgbench.cells.renders import background_of
+from tdgbench.present.colour_scale import in_range
 from tdgbench.present.colours import colored, expected_depth, shaded
 from tdgbench.scenes import Camera
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL
@@ -119,7 +120,7 @@ class Renderer:
         names = [name for name in dict.fromkeys([look.cell, look.beside]) if self.has(name, look.quantity)]
         if not names:
             raise ValueError(f"no cell has {LABELS.get(look.quantity, look.quantity)}")
-        parts = tuple(self._part(name, look, camera) for name in names)
+        parts = tuple(self._part(name, look, camera, names[0]) for name in names)
         return RenderedLook(look, parts, self.range_of(names[0], look.quantity))
 
     def has(self, name: str, quantity: str) -> bool:
@@ -174,13 +175,16 @@ class Renderer:
         determinacy: np.ndarray = self._determinacy[name].image(camera).numpy()
         return determinacy
 
-    def _part(self, name: str, look: Look, camera: Camera) -> CellRender:
+    def _part(self, name: str, look: Look, camera: Camera, first: str) -> CellRender:
+        """Render a cell; equal °C have the colours that they have in the cell `first`."""
         values = self.values(name, look.quantity, camera)
         whole = self.range_of(name, look.quantity)
         if whole is None:
             picture = to_8bit(values)
         else:
             low, high = (whole[0] + share * (whole[1] - whole[0]) for share in look.span)
+            if look.quantity == THERMAL and name != first:
+                low, high = in_range(low, high, self.cells[first].degC, self.cells[name].degC)
             picture = colored(values[..., 0], look.colors, low, high)
         if look.guesses and THERMAL in self.cells[name].models:  # what is a guess is known of Gaussians
             picture = shaded(picture, self.determinacy(name, camera))

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tdgbench.cells.read_files import read_picture
+from tdgbench.cells.record import read_record
 from tdgbench.cells.renders import render_model
 from tdgbench.present.colours import colored, shaded
 from tdgbench.scoring import to_8bit
@@ -77,6 +81,24 @@ def test_two_cells_are_divided_where_the_look_says(renderer, camera):
     assert np.array_equal(frame.picture[:20, :12], left[:20, :12])
     assert np.array_equal(frame.picture[:20, 13:], right[:20, 13:])
     assert [name for name, _ in frame.at(0.5, 0.5)] == ["tdg", "msmg"]
+
+
+def test_equal_temperatures_have_equal_colours_in_cells_of_two_ranges(tdg_folder, tmp_path):
+    """The colour bar is of the first one."""
+    copy = tmp_path / "other" / "cell"
+    shutil.copytree(tdg_folder, copy)
+    record = read_record(copy)
+    replace(record, temperature_range=[0.0, 100.0]).write(copy)  # of 14 to 50 °C
+    one, other = Renderer(open_cells([tdg_folder, copy])), next(iter(open_cells([tdg_folder]).values()))
+    first, second = one.cells
+    frame = one.render(Look(first, beside=second, span=(0.25, 0.75)), next(iter(other.test.values())))
+    values = frame.parts[1].values[..., 0]
+    low, high = ((14 + 36 * share) / 100 for share in (0.25, 0.75))  # °C of the bar's ends, in the range of the second
+    assert np.array_equal(frame.parts[1].picture, colored(values, frame.look.colors, low, high))
+    replace(record, temperature_range=None).write(copy)
+    one = Renderer(open_cells([tdg_folder, copy]))
+    with pytest.raises(ValueError, match="no colours hold for both"):
+        one.render(Look(first, beside=second), next(iter(other.test.values())))
 
 
 def test_a_cell_without_an_rgb_model_is_left_out_of_rgb(renderer, camera):
