@@ -6,12 +6,14 @@ Constants and order follow the authors' code (ubc-vision/3dgs-mcmc, commit 7b4fc
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import torch
-from pydantic import NonNegativeFloat
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 from torch import Tensor
 
+from tdgbench.splats import Gaussians
 from tdgbench.splats.density import DensityChange, DensityControl, DensityRules, GrowthDecision
 from tdgbench.splats.geometry import rotation_matrices
 from tdgbench.splats.gradients import Gradients, PendingGradients
@@ -24,16 +26,28 @@ GATE, DEAD = 100.0, 0.995  # of the noise: it moves Gaussians whose 1 − opacit
 
 @dataclass(frozen=True)
 class RelocationRules(DensityRules):
-    """Rounds as those of 3DGS; no clones, splits and opacity resets. `max_gaussians` must be given."""
+    """Rounds as those of 3DGS; no clones, splits and opacity resets. `max_gaussians` must be given.
+
+    Gaussians at initial points begin more opaque and smaller than those of 3DGS (`create_from_pcd`).
+    """
 
     growth: NonNegativeFloat = 0.05  # share of the Gaussians, a round
     noise: NonNegativeFloat = 5e5  # × the means' learning rate × covariance, world units²
     opacity_weight: NonNegativeFloat = 0.01  # of the mean opacity in the loss
     scale_weight: NonNegativeFloat = 0.01  # of the mean scale (world units) in the loss
+    start_opacity: Annotated[float, Field(gt=0, lt=1)] = 0.5
+    start_scale: PositiveFloat = 0.1  # × the distance of neighbours
 
     def __post_init__(self) -> None:
         if self.max_gaussians is None:
             raise ValueError("relocation grows to a limit: give budget.density.max_gaussians=NUMBER")
+        if self.uses_absolute:
+            raise ValueError("relocation reads no gradient: leave out budget.density.gradient=absolute")
+
+    def begin(self, gaussians: Gaussians) -> Gaussians:
+        opacities = torch.full_like(gaussians.opacity_logits, self.start_opacity)
+        scales = gaussians.log_scales + math.log(self.start_scale)
+        return replace(gaussians, opacity_logits=opacities.logit(), log_scales=scales)
 
     def control(self, extent: float, state: TrainingState, iterations: int) -> Relocation:
         return Relocation(self, extent, state, iterations)

@@ -146,9 +146,9 @@ class Thermal3DGS(Method):
 
     def _rendered(self, frame: Frame, depth: bool = False) -> Render:
         def hook(gaussians: Gaussians, degree: int) -> GaussianTensors:
-            return transmitted(gaussians, degree, Pinhole.of(frame.camera).to(gaussians.means), network, frame.time)
+            return transmitted(gaussians, degree, camera.to(gaussians.means), network, frame.time)
 
-        network = None if self.atf is None else self.atf.module
+        network, camera = None if self.atf is None else self.atf.module, Pinhole.of(self.model.camera(frame.camera))
         render = self.model.render(frame.camera, depth=depth, hook=None if network is None else hook)
         if self.tcm is not None:
             render.image = self.tcm.added(render.image)

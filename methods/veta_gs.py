@@ -153,7 +153,7 @@ class VetaGS(Method):
 
     def _rendered(self, frame: Frame, noise: float = 0.0, of_visible: bool = False, depth: bool = False) -> Render:
         def hook(gaussians: Gaussians, degree: int) -> GaussianTensors:
-            camera = Pinhole.of(frame.camera).to(gaussians.means)
+            camera = Pinhole.of(self.model.camera(frame.camera)).to(gaussians.means)
             index = torch.arange(len(gaussians), device=gaussians.means.device)
             if of_visible:
                 index = visible_radii(gaussians.detach().activated(degree), camera).nonzero().squeeze(1)

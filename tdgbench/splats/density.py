@@ -77,6 +77,15 @@ class DensityRules:
         is_due = 0 < iteration < self.stop and iteration % self.opacity_reset_every == 0
         return is_due and iterations - iteration >= self.reset_recovery * self.every
 
+    def begin(self, gaussians: Gaussians) -> Gaussians:
+        """Return the Gaussians of a training that begins from points, as `gaussians_from_points` makes them."""
+        return gaussians
+
+    def was_reset(self, iteration: int, iterations: int) -> bool:
+        """Return whether the model at an iteration, before density control, has not recovered from a reset."""
+        resets = range(max(1, iteration - self.reset_recovery * self.every + 1), iteration)
+        return any(self.is_reset(i, iterations) for i in resets)
+
     def control(self, extent: float, state: TrainingState, iterations: int) -> DensityControl:
         """Return density control by these rules; see `DensityControl`."""
         return DensityControl(self, extent, state, iterations)
@@ -87,10 +96,7 @@ class DensityRules:
         Only such a model is worth saving: a reset costs more than 10 dB, a round some tenths.
         """
         rounds = range(max(1, iteration - self.round_recovery * self.every + 1), iteration)
-        resets = range(max(1, iteration - self.reset_recovery * self.every + 1), iteration)
-        return not (
-            any(self.is_round(i, iterations) for i in rounds) or any(self.is_reset(i, iterations) for i in resets)
-        )
+        return not (any(self.is_round(i, iterations) for i in rounds) or self.was_reset(iteration, iterations))
 
 
 @dataclass

@@ -225,6 +225,7 @@ class Context:
             points, colors = self.points.points, self.points.colors
             kept = self.kept_points(modality) if extra_fields is None else np.ones(len(points), bool)
             start = gaussians_from_points(points[kept], colors[kept], channels, budget.sh_degree)
+            start = budget.density.begin(start)
             left_out = len(points) - len(start)
         start = replace(start, extra_fields={**start.extra_fields, **(extra_fields or {})})
         background, rig = self.background(modality), self.rig if images is THERMAL else None

@@ -171,6 +171,8 @@ def _ends(trainer: Trainer, iteration: int, loss: Any) -> bool:
         return True
     if not any(reached):
         return False
+    if not all(one.is_at_full_resolution or one.settled_at for one in trainer.context.curricula.values()):
+        return False  # another rule's end is no reason to leave out the images' last pixels
     may_end = [rule.lets_end(iteration) for rule in rules]
     return all(may_end) and all(part.has_recovered(iteration) for part in trainer.parts.values())
 

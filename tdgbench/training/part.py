@@ -47,6 +47,10 @@ class Part:
         """Return whether training may end: the part has recovered from its last large change."""
         return True
 
+    def was_reset(self, iteration: int) -> bool:
+        """Return whether renders say little: opacities were reset shortly before."""
+        return False
+
     @property
     def gaussian_count(self) -> int:
         """The number of its Gaussians; 0 for a part without them."""

@@ -138,6 +138,8 @@ class Settling(Stopping):
         curriculum, rule = self.curriculum, self.rule
         if curriculum.scale != self._scale:  # by the schedule
             self._leave_resolution()
+        if any(part.was_reset(iteration) for part in self.parts.values()):
+            return
         is_full = curriculum.is_at_full_resolution
         if is_full and iteration <= rule.full_after:
             return

@@ -96,6 +96,10 @@ class SplatModel(Part):
         optimizer.flush()
         return state.split(state.values)
 
+    def camera(self, given: Camera) -> Camera:
+        """Return the camera that takes the images beside a given one: that of the rig, where one is learnt."""
+        return given if self.rig is None else self.rig.camera(given)
+
     def render(
         self,
         camera: Camera | Pinhole,
@@ -176,6 +180,9 @@ class SplatModel(Part):
 
     def has_recovered(self, iteration: int) -> bool:
         return self.density.rules.has_recovered(iteration, self.budget.iterations)
+
+    def was_reset(self, iteration: int) -> bool:
+        return self.density.rules.was_reset(iteration, self.budget.iterations)
 
     def stop_growth(self, iteration: int | None) -> None:
         rules = self._density_rules

@@ -174,9 +174,9 @@ def followed(written: Mapping[Path, int], last: Path | None) -> Path | None:
     >>> followed({a: 0, b: 10**9}, a).name, followed({a: 0, b: 400 * 10**9}, a).name
     ('a', 'b')
     """
-    newest = max(written, key=written.__getitem__, default=None)
-    is_old = newest is not None and last in written and written[newest] - written[last] > PATIENCE * 10**9
-    return last if last in written and not is_old else newest
+    if last is not None and last in written and max(written.values()) - written[last] <= PATIENCE * 10**9:
+        return last
+    return max(written, key=written.__getitem__, default=None)
 
 
 class Follower:

@@ -4,6 +4,8 @@ import math
 
 import pytest
 import torch
+from hydra.errors import InstantiationException
+from hydra.utils import instantiate
 
 from methods.mcmc import RelocationRules, relocated
 from tdgbench.splats.geometry import rotation_matrices
@@ -114,6 +116,23 @@ def test_a_training_grows_to_its_limit_and_reports_it(small_gray_scene):
     log = train(trainer)
     assert len(trainer.gaussians["thermal"]) == 330 and math.isfinite(log.lines[-1].loss)
     assert trainer.reports()["thermal"]["split"] == 0
+
+
+@pytest.mark.parametrize("name", ["3dgs", "msmg", "ommg"])
+def test_gaussians_at_points_begin_as_the_authors(name, small_scene):
+    """More opaque and smaller than those of 3DGS."""
+    usual, moving = (ready_to_train(small_scene, name, 12, *words).gaussians for words in ((), MCMC))
+    for one in usual:
+        scales = moving[one].gaussians.log_scales - usual[one].gaussians.log_scales
+        assert (
+            torch.allclose(scales, torch.tensor(0.1).log())
+            and (moving[one].gaussians.opacities - 0.5).abs().max() < 1e-6
+        )
+
+
+def test_it_reads_no_gradient():
+    with pytest.raises(InstantiationException, match="reads no gradient"):
+        instantiate(config("+density=mcmc", "budget.density.gradient=absolute").budget.density)
 
 
 def test_what_is_not_rendered_is_not_moved(model):

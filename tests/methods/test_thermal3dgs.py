@@ -48,6 +48,24 @@ def test_gaussians_out_of_sight_have_no_effect_and_are_not_asked_about():
     assert torch.allclose(images[2], images[3])  # the colours are those of the harmonics
 
 
+def test_the_network_is_asked_about_what_the_rig_shows(small_gray_scene):
+    """The thermal camera is turned by 30° against the pose that is given."""
+    trainer = ready_to_train(small_gray_scene, "thermal3dgs", 10, "thermal_camera.rig=true", *ALL_TERMS)
+    method, rig = trainer.method, trainer.method.model.rig
+    with torch.no_grad():
+        rig.numbers["turn"][1] = math.pi / 6
+    asked = []
+    method.atf.module.register_forward_pre_hook(lambda module, given: asked.append(given[0]))
+    frame = trainer.context.frame(small_gray_scene.train[0])
+    method.render(frame, "thermal")
+    gaussians = method.model.gaussians
+    in_given, in_rig = (
+        gaussians.means[in_sight(gaussians.means, gaussians.scales, Pinhole.of(camera).to(gaussians.means))]
+        for camera in (frame.camera, rig.camera(frame.camera))
+    )
+    assert torch.equal(asked[0], in_rig) and in_rig.tolist() != in_given.tolist()
+
+
 def test_the_loss_has_a_corner_term_until_it_ends(small_gray_scene):
     trainer = ready_to_train(small_gray_scene, "thermal3dgs", 30, *ALL_TERMS)
     for iteration, weight in ((1, 0.2 * (1 - 1 / 5)), (6, 0.0), (30, 0.0)):

@@ -311,6 +311,13 @@ def test_a_training_that_another_rule_ends_has_its_tail():
     assert scripted.reached(60) and scripted.settling.lets_end(60) and scripted.part.rate == pytest.approx(0.1)
 
 
+def test_nothing_is_checked_shortly_after_opacities_were_reset():
+    """Renders are dark there, which is no stall."""
+    dips = Scripted(lambda iteration, scale: 10.0 if 100 < iteration <= 200 else 20 + iteration / 50)
+    dips.part.was_reset = lambda iteration: 100 < iteration <= 200
+    assert end_of(dips) == 1000 and not {*range(110, 201, 10)} & {*dips.asked} and {100, 210} <= {*dips.asked}
+
+
 class EndsAt30(Stopping):
     def reached(self, iteration, loss):
         return iteration >= 30
@@ -321,6 +328,16 @@ def test_the_loop_asks_the_rule_before_another_one_ends_the_training(small_gray_
     trainer.context.add_part("end", EndsAt30())
     assert train(trainer).iterations == 45  # half of 30 more
     assert trainer.context.curricula["thermal"].settled_at == 30
+
+
+@pytest.mark.parametrize("conf", [CONF.replace("gain:50", "gain:1e-9"), "budget.settling=null"])
+def test_no_rule_ends_a_training_of_small_images(small_gray_scene, conf):
+    """It goes on until they have all their pixels, at the latest after 48 of 60 iterations."""
+    pixels = "+budget.pixels={_target_:tdgbench.training.budget.PixelRule,largest_scale:2,until:0.8,smallest_side:8}"
+    trainer = ready_to_train(small_gray_scene, "3dgs", 60, conf, pixels)
+    trainer.context.add_part("end", EndsAt30())
+    log, curriculum = train(trainer), trainer.context.curricula["thermal"]
+    assert log.iterations > 30 and curriculum.is_at_full_resolution and curriculum.iterations[1] > 0
 
 
 def test_nothing_settles_before_a_given_number_of_gaussians_is_reached():
