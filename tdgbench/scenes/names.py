@@ -18,6 +18,7 @@ from tdgbench.scenes.formats.unread import UNREAD
 from tdgbench.scenes.inputs import check_view_name
 from tdgbench.text import first_few
 
+USUAL = {"images", "input", "rgb", "thermal"}  # folders of images, which tell no views apart
 _EXTENSIONS = {*SUFFIXES, *UNREAD, ".npy"}
 _Ranked = tuple[tuple[int, int], str]  # rank of a file among a view's, and the file
 
@@ -111,6 +112,23 @@ def _rank(file: str, path: str, nested: bool, loose: bool) -> tuple[int, int] | 
     common = _common([parts[::-1], known[::-1]])
     fits = common == len(parts) or (nested and (loose or common == len(known)))
     return (common, -abs(len(known) - len(parts))) if fits else None
+
+
+def in_other_folders(files: Mapping[str, str], views: Mapping[str, str]) -> str:
+    """Return which folders paired files and views lie in, if these differ, but for folders that are USUAL; else "".
+
+    files, views: keys by view name.
+
+    >>> in_other_folders({"1": "monday/1"}, {"1": "rgb/tuesday/1"}), in_other_folders({"1": "left/1"}, {"1": "rgb/1"})
+    ('files in monday/, poses of tuesday/', '')
+    """
+    own_folders, folders = set[str](), set[str]()
+    for view, file in files.items():
+        own, posed = ([p for p in one.split("/")[:-1] if p.casefold() not in USUAL] for one in (file, views[view]))
+        if own and posed and own[-len(posed) :] != posed[-len(own) :]:
+            own_folders.add("/".join([*own, ""]))
+            folders.add("/".join([*posed, ""]))
+    return f"files in {first_few(own_folders)}, poses of {first_few(folders)}" if folders else ""
 
 
 def in_case_alone(files: Iterable[str], views: Iterable[str]) -> list[str]:

@@ -78,11 +78,13 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
         left_out.append(f"{len(useless)} masks belong to no view and are not used: {first_few(useless)}")
     hiding = [mask.path for mask in masks.values()]
     files = [*thermal.values(), *rgb.values(), *hiding, *scene_files.files, *truth]
+    hashes = {path: hash_of(path) for path in sorted({*files})}  # whose errors name the file
+    doubts = _doubted_copies(folder, [thermal[name] for name in train], [thermal[name] for name in test], hashes)
     scene = Scene(
         description.scene, description.dataset, description.group,
         train=[views[n] for n in train], test=[views[n] for n in test], points=scene_files.points, temperature=None,
-        split=options.split, fingerprint=_fingerprint(folder, files), channels=0,
-        notes=[*scene_files.notes, *notes, *left_out], folder=folder, model=scene_files.model,
+        split=options.split, fingerprint=_fingerprint(folder, hashes), channels=0,
+        notes=[*scene_files.notes, *notes, *left_out], folder=folder, model=scene_files.model, doubts=doubts,
         assumed={
             **({"layout": f"{layout.title}: {layout.looks}"} if detected else {}),
             **origin, **sensor_of(description.dataset, description.scene),
@@ -92,7 +94,7 @@ def outline_scene(folder: Path, description: Description, options: ReadOptions, 
     scene = judged(scene)
     request = ThermalRequest(description.scene, sources, train, options, scene_files.radiometry)
     read = scene_files.read_thermal or thermal_images
-    return Outline(scene, lambda: _with_images(scene, read(request.with_range())))
+    return Outline(scene, lambda: _with_images(scene, read(request)))
 
 
 def _with_images(scene: Scene, images: ThermalImages) -> Scene:
@@ -248,10 +250,23 @@ def _load_rgb(source: ImageSource) -> np.ndarray:
     return np.ascontiguousarray(with_channels(image, 3), np.float32)
 
 
-def _fingerprint(folder: Path, files: Iterable[Path]) -> str:
-    """Return the hash of the paths and contents of the files, each of which is read once."""
+def _fingerprint(folder: Path, hashes: Mapping[Path, bytes]) -> str:
+    """Return the hash of the paths and contents of the files. hashes: of contents, sorted by path."""
     digest = hashlib.sha256()
-    for path in sorted(set(files)):
-        content = hash_of(path)  # whose errors name the file
+    for path, content in hashes.items():
         digest.update(f"{path.relative_to(folder).as_posix()}\0".encode() + content)
     return digest.hexdigest()[:16]
+
+
+def _doubted_copies(folder: Path, train: list[Path], test: list[Path], hashes: Mapping[Path, bytes]) -> list[str]:
+    """Return doubts about thermal images that are equal, of both parts of the split and of one."""
+    trained, tested = ({hashes[path]: path for path in part} for part in (train, test))
+    both, found = sorted(trained.keys() & tested.keys(), key=tested.__getitem__), list[str]()
+    if both:
+        first, other = (paths[both[0]].relative_to(folder).as_posix() for paths in (tested, trained))
+        which = f"{len(both)} of the test views' thermal images are also those of training views ({first} is {other})"
+        found.append(f"{which}, so scores are of what is trained on")
+    if copies := {*train, *test} - {*trained.values(), *tested.values()}:
+        named = first_few(path.relative_to(folder).as_posix() for path in copies)
+        found.append(f"{len(copies)} of the thermal images are copies of others: {named}")
+    return [f"{doubt}; delete the copies" for doubt in found]

@@ -13,11 +13,12 @@ import numpy as np
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.inputs import is_there, read_json
 from tdgbench.scenes.scene import TemperatureRange
-from tdgbench.text import shortened
+from tdgbench.text import meant, shortened
 
 FILE = "temperature.json"
 KEYS = "min", "max"
 OF_COUNTS = "degC_per_count", "degC_at_zero"
+ALL_KEYS = *KEYS, "unit", *OF_COUNTS, "comment"
 UNITS = "degc", "°c", "c", "celsius"
 # Of ThermoScenes, in °C: Schindler-EPFL-Lab/thermo-nerf 08d9be9, thermo_scenes/flir_thermal_images/custom_flir.py.
 BOUNDS_FILE = "temperature_bounds.json"
@@ -53,8 +54,16 @@ class Radiometry:
 
 
 def temperature_file(folder: Path) -> Path:
-    """Return the file that may state °C of image values: ThermoScenes' bounds, if they are there, else FILE."""
-    return folder / (BOUNDS_FILE if is_there(folder / BOUNDS_FILE) else FILE)
+    """Return the file that may state °C of image values: ThermoScenes' bounds, if they alone are there, else FILE.
+
+    Raises SceneError where both are there and differ, and for a file that cannot be read.
+    """
+    found = [folder / name for name in (FILE, BOUNDS_FILE) if is_there(folder / name)]
+    stated = {path: known.range for path in found if (known := read_radiometry(path)) is not None}
+    if len({*stated.values()}) > 1:
+        both = ", ".join(f"{path} states {span.min:g} to {span.max:g} °C" for path, span in stated.items())
+        raise SceneError(f"{both}; remove the file that is wrong")
+    return (found or [folder / FILE])[0]
 
 
 def read_radiometry(path: Path) -> Radiometry | None:
@@ -69,9 +78,11 @@ def read_radiometry(path: Path) -> Radiometry | None:
         content = read_json(path)
         if not isinstance(content, dict) or not {lowest, highest} <= content.keys():
             raise ValueError("it does not have both")
-        unknown = [key for key in content if key.startswith("degC") and key not in OF_COUNTS]
-        if unknown or ("degC_at_zero" in content and content.get("degC_per_count") is None):
-            raise ValueError(f"of counts it may have {OF_COUNTS[0]}, and with it {OF_COUNTS[1]}")
+        for key in () if path.name == BOUNDS_FILE else content.keys() - {*ALL_KEYS}:
+            said = f"it has the key {shortened(repr(key), 60)}, and may have {', '.join(ALL_KEYS)}"
+            raise ValueError(said + meant(key, ALL_KEYS))
+        if "degC_at_zero" in content and content.get("degC_per_count") is None:
+            raise ValueError(f"{OF_COUNTS[1]} needs {OF_COUNTS[0]}")
         if str(unit := content.get("unit", "degC")).lower() not in UNITS:
             raise ValueError(f"its unit {shortened(repr(unit), 60)} is not degC")
         span = check_range(content[lowest], content[highest])

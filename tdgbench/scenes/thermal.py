@@ -16,9 +16,9 @@ import numpy as np
 
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.fillers import Fillers, find_apart, find_fillers, given_fillers, impossible
-from tdgbench.scenes.formats import NO_SCALE, decode, header, one_channel, raw_counts, read_celsius
+from tdgbench.scenes.formats import NO_SCALE, celsius_of, decode, header, one_channel, raw_counts
 from tdgbench.scenes.options import ReadOptions
-from tdgbench.scenes.scene import TemperatureRange
+from tdgbench.scenes.scene import PALETTE, TemperatureRange
 from tdgbench.scenes.temperature import PERCENTILES, CountScale, Radiometry, check_range, sampled
 from tdgbench.scenes.view_images import (
     UNMEASURED,
@@ -33,6 +33,8 @@ from tdgbench.scenes.view_images import (
 from tdgbench.text import first_few
 
 LIKE_KELVIN = 233.0  # K are -40 °C; a scene whose coldest point has more than 233 °C is none that people walk about
+LEAST_FILLED = 0.05  # of 0 to 65535; levels that a program stretches fill more, and counts of a camera less
+MOST_SETTINGS = 3  # in what is assumed
 SCALED = " TIFF of TlinearGain"  # of 16-bit images that state their scale
 
 
@@ -60,6 +62,7 @@ class Temperatures(NamedTuple):
     is_masked: bool = False  # whether its fillers are known and not finite; else they are searched for
     block: int = 1  # px, side of the blocks in which a filler spoils its neighbours
     ends: bool = False  # whether values end at the range of an image, so that measured ones may equal the lowest
+    settings: str = ""  # of the camera, by which it computed them
 
 
 Reader = Callable[[Path], Temperatures]
@@ -67,7 +70,7 @@ Reader = Callable[[Path], Temperatures]
 
 @dataclass(frozen=True)
 class ThermalRequest:
-    """Thermal images to read. scene: its name. train: views whose values give the range, unless radiometry has it."""
+    """Thermal images to read. scene: its name. train: views whose values give the range, unless it is stated."""
 
     scene: str
     sources: Mapping[str, ImageSource]  # by view name
@@ -81,20 +84,24 @@ class ThermalRequest:
         return next(iter(self.sources.values())).path.parent
 
     @property
+    def scale(self) -> CountScale:
+        """What 16-bit counts mean, as `radiometry` states it."""
+        return NO_SCALE if self.radiometry is None else self.radiometry.scale
+
+    @property
     def reader(self) -> Reader:
         """Reader of °C, or of counts whose scale the files or `radiometry` state."""
-        return partial(read_temperatures, scale=NO_SCALE if self.radiometry is None else self.radiometry.scale)
+        return partial(read_temperatures, scale=self.scale)
 
-    def with_range(self) -> ThermalRequest:
-        """Return the request with data.temperature in its radiometry, if it is set. Raises SceneError."""
+    @property
+    def window(self) -> TemperatureRange | None:
+        """The range of data.temperature, if it is set. Raises SceneError."""
         if self.options.temperature is None:
-            return self
+            return None
         try:
-            given = check_range(*self.options.temperature)
+            return check_range(*self.options.temperature)
         except (ValueError, TypeError) as error:
             raise SceneError(f"data.temperature={list(self.options.temperature)}: {error}") from error
-        scale = CountScale() if self.radiometry is None else self.radiometry.scale
-        return replace(self, radiometry=Radiometry(given, scale))
 
 
 def thermal_images(request: ThermalRequest) -> ThermalImages:
@@ -104,26 +111,66 @@ def thermal_images(request: ThermalRequest) -> ThermalImages:
     """
     if request.options.thermal == "radiometric":
         return measured_images(request, request.reader)
-    kinds, known = _kinds(request.sources), request.radiometry
+    kinds, window = _kinds(request.sources), request.window
+    known = request.radiometry or (None if window is None else Radiometry(window))
     are_counts = [kind.startswith("16-bit") for kind in kinds]
     if known is not None and all(are_counts) and (known.scale.is_known or all(SCALED in kind for kind in kinds)):
         return measured_images(request, request.reader, CELSIUS_OF_IMAGES)
-    if "float" not in kinds and (known is not None or not any(are_counts)):
+    if request.scale.is_known and not any(are_counts):
+        raise SceneError(
+            f"{request.folder} holds no 16-bit images, to which degC_per_count of temperature.json belongs; remove it"
+        )
+    without_scale = "16-bit" in kinds and not request.scale.is_known
+    is_clear = len(kinds) == 1 or not without_scale
+    if "float" not in kinds and is_clear and (known is not None or not any(are_counts)):
         if request.options.fillers:
             raise SceneError(
                 f"{request.folder}: data.fillers is in °C or raw counts, which these images do not hold; hide pixels "
                 "by pictures in masks/"
             )
-        return shown_images(request.sources, known, request.options.channels)
+        return _shown(request, known, without_scale)
     if len(kinds) > 1:
         parts = ", ".join(f"{len(names)} {kind} ({first_few(names)})" for kind, names in sorted(kinds.items()))
         raise SceneError(
             f"{request.folder} holds images of several kinds: {parts}. Float images are in °C, 16-bit ones without a "
-            "range raw counts, 8-bit ones neither; export all of them alike"
+            "scale raw counts, 8-bit ones neither; export all of them alike"
         )
     if "16-bit" in kinds:
         return measured_images(request, read_counts, COUNTS)
     return measured_images(request, request.reader, CELSIUS_OF_IMAGES)
+
+
+def _shown(request: ThermalRequest, known: Radiometry | None, without_scale: bool) -> ThermalImages:
+    """Read images as files show them; gray ones of a stated range in that of data.temperature. Raises SceneError."""
+    found = shown_images(request.sources, known, request.options.channels)
+    if known is None or found.assumed["values"] == PALETTE:
+        return found
+    stated, window = known.range, request.window or known.range
+    low, high = _ends([found.images[name] for name in request.train]) if without_scale else (0, 1)
+    if high - low < LEAST_FILLED:
+        doubt = (
+            f"16-bit values of the training views fill {high - low:.1%} of 0 to 65535, which are {stated.min:g} and "
+            f"{stated.max:g} °C; if they are counts, state degC_per_count and degC_at_zero in temperature.json"
+        )
+        found = replace(found, doubts=[doubt])
+    if window == stated:
+        return found
+    if window.max <= stated.min or window.min >= stated.max:
+        raise _nothing_between(request, window)
+    images = {}
+    for name, view in found.images.items():
+        degC = stated.min + (stated.max - stated.min) * view.image.astype(np.float64)
+        images[name] = _scaled(view._replace(image=degC), window, np.float64)
+    ends = f"{window.min:g} and {window.max:g} °C (data.temperature)"
+    said = f"gray, 0 and 1 are {ends}, of files that state {stated.min:g} to {stated.max:g} °C"
+    return replace(found, images=images, temperature=window, assumed={"values": said})
+
+
+def _nothing_between(request: ThermalRequest, span: TemperatureRange) -> SceneError:
+    return SceneError(
+        f"{request.folder}: no temperature lies between {span.min:g} and {span.max:g} °C; correct data.temperature or "
+        "temperature.json"
+    )
 
 
 def _kinds(sources: Mapping[str, ImageSource]) -> dict[str, list[str]]:
@@ -146,14 +193,15 @@ def read_counts(path: Path) -> Temperatures:
 
 def read_temperatures(path: Path, scale: CountScale = NO_SCALE) -> Temperatures:
     """Read an array, a float image or a camera's file: °C, or counts whose scale the file or `scale` states."""
-    return Temperatures(read_celsius(path, scale).astype(np.float32))
+    decoded = decode(path)
+    return Temperatures(celsius_of(decoded, path, scale).astype(np.float32), settings=decoded.settings_in_words)
 
 
 def measured_images(request: ThermalRequest, read: Reader, unit: Unit = CELSIUS) -> ThermalImages:
     """Read images of one channel, or of three equal ones. Raises SceneError."""
     channels = 1 if request.options.channels == "auto" else request.options.channels
-    measured, notes = _measured(request, read, unit)
-    given = None if request.radiometry is None else request.radiometry.range
+    measured, notes, settings = _measured(request, read, unit)
+    given = request.window or (None if request.radiometry is None else request.radiometry.range)
     span = given or _range_of([measured[name] for name in request.train], unit, request.folder)
     images, clipped, count = {}, 0, 0
     for name in request.sources:
@@ -162,24 +210,41 @@ def measured_images(request: ThermalRequest, read: Reader, unit: Unit = CELSIUS)
         count += values.size
         images[name] = in_channels(_scaled(measured.pop(name), span, unit.dtype), channels)
     if clipped == count:
-        raise SceneError(
-            f"{request.folder}: no temperature lies between {span.min:g} and {span.max:g} °C; correct data.temperature "
-            "or temperature.json"
-        )
+        raise _nothing_between(request, span)
     origin = "" if given else f", {PERCENTILES[0]:g} and {PERCENTILES[1]:g} percentile of the training views"
     ends = f"{span.min:.{unit.digits}f} and {span.max:.{unit.digits}f} {unit.name}{origin}"
     said = f"image values 0 and 1 are {ends}; {clipped / count:.2%} of the pixels are clipped"
-    found = ThermalImages(images, channels, None, notes, assumed={"values": unit.means, "range": said})
+    assumed = {"values": unit.means, "range": said}
     if unit is COUNTS:
-        return replace(found, raw_count_range=(round(span.min), round(span.max)))
-    doubts = [f"temperatures of {span.min:g} to {span.max:g} °C look like kelvin; subtract 273.15, or ignore this"]
-    is_kelvin = given is None and span.min > LIKE_KELVIN
-    return replace(found, temperature=span, doubts=doubts if is_kelvin else [])
+        return ThermalImages(images, channels, None, notes, (round(span.min), round(span.max)), assumed)
+    doubts = [] if given else _doubts_of_range(span)
+    if settings:
+        assumed["settings"] = "; ".join([*settings][:MOST_SETTINGS])
+    if len(settings) > 1:
+        first, other, *_ = settings.values()
+        doubts.append(
+            f"the camera's settings differ between views ({len(settings)} sets; {first} and {other}), and temperatures "
+            "with them; set them alike in the files, by the camera's program"
+        )
+    return ThermalImages(images, channels, span, notes, None, assumed, doubts)
 
 
-def _measured(request: ThermalRequest, read: Reader, unit: Unit) -> tuple[dict[str, MaskedImage], list[str]]:
-    """Return values (H, W, 1) of each view, resampled, with masked fillers, and notes on the fillers."""
+def _doubts_of_range(span: TemperatureRange) -> list[str]:
+    """Return why temperatures in a range that nobody has stated may be none."""
+    what = f"temperatures of {span.min:g} to {span.max:g} °C look like"
+    if span.min > LIKE_KELVIN:
+        return [f"{what} kelvin; subtract 273.15, or ignore this"]
+    if span.min >= 0 and span.max <= 1:
+        return [f"{what} shares of a range; export the images again in °C, or ignore this"]
+    return []
+
+
+def _measured(
+    request: ThermalRequest, read: Reader, unit: Unit
+) -> tuple[dict[str, MaskedImage], list[str], dict[str, str]]:
+    """Return values (H, W, 1) of each view, resampled, with masked fillers, notes on these, and views by settings."""
     raw = {name: read(source.path) for name, source in request.sources.items()}
+    settings = {view.settings: name for name, view in raw.items() if view.settings}
     known = {name for name, view in raw.items() if view.is_masked}
     given = request.options.fillers
     fillers = _find_fillers(raw, known, unit) if given is None else given_fillers(given)
@@ -190,7 +255,7 @@ def _measured(request: ThermalRequest, read: Reader, unit: Unit) -> tuple[dict[s
         filled.append(invalid.mean())
         values, hidden = view.values[..., None], hidden_by(source, view.values[..., None])
         measured[name] = resample(values, invalid if hidden is None else invalid | hidden, source)
-    return measured, _about_fillers(fillers, filled, bool(known), unit)
+    return measured, _about_fillers(fillers, filled, bool(known), unit), settings
 
 
 def _find_fillers(views: Mapping[str, Temperatures], known: set[str], unit: Unit) -> Fillers:
@@ -205,12 +270,18 @@ def _find_fillers(views: Mapping[str, Temperatures], known: set[str], unit: Unit
 
 def _range_of(measured: list[MaskedImage], unit: Unit, folder: Path) -> TemperatureRange:
     """Return the range between PERCENTILES of the values, widened to multiples of 1 / steps. Raises SceneError."""
-    samples = [sampled(_valid_values(one), len(measured)).copy() for one in measured]
-    low, high = map(float, np.percentile(np.concatenate(samples), PERCENTILES, method="nearest"))
+    low, high = _ends(measured)
     if low == high:
         what = f"the {unit.what} of the training views give no range (nearly all are {low:g} {unit.name})"
         raise SceneError(f"{folder}: {what}; {unit.remedy}")
     return TemperatureRange(math.floor(unit.steps * low) / unit.steps, math.ceil(unit.steps * high) / unit.steps)
+
+
+def _ends(measured: list[MaskedImage]) -> tuple[float, float]:
+    """Return the PERCENTILES of the valid values."""
+    samples = [sampled(_valid_values(one), len(measured)).copy() for one in measured]
+    low, high = np.percentile(np.concatenate(samples), PERCENTILES, method="nearest")
+    return float(low), float(high)
 
 
 def _valid_values(measured: MaskedImage) -> np.ndarray:

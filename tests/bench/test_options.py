@@ -7,8 +7,8 @@ from omegaconf import OmegaConf
 
 from tdgbench.bench.options import (
     OptionError,
-    check_experiment_options,
     check_cell_names,
+    check_experiment_options,
     check_options,
     names_to_text,
 )

@@ -1,4 +1,5 @@
 import os
+import re
 import shutil
 
 import numpy as np
@@ -49,6 +50,23 @@ def test_duplicates_and_wrong_shapes(folder):
     image.save(folder / "thermal" / "view001.bmp")
     with pytest.raises(SceneError, match="are both view view001"):
         load(folder)
+
+
+def test_copies_of_thermal_images(folder):
+    """As of frames that a video repeats: of eighty_twenty, view000 and view005 are test views."""
+    thermal = folder / "thermal"
+    shutil.copy(thermal / "view001.png", thermal / "view002.png")
+    (doubt,) = [doubt for doubt in load(folder).doubts if "copies" in doubt]
+    assert re.fullmatch(
+        r"1 of the thermal images are copies of others: thermal/view00[12]\.png; delete the copies", doubt
+    )
+    shutil.copy(thermal / "view001.png", thermal / "view005.png")
+    first, second = (one for one in load(folder).doubts if "copies" in one)
+    assert second == doubt and re.fullmatch(
+        r"1 of the test views' thermal images are also those of training views \(thermal/view005\.png is "
+        r"thermal/view00[12]\.png\), so scores are of what is trained on; delete the copies",
+        first,
+    )
 
 
 def test_the_real_scene(arco_folder):

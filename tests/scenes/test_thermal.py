@@ -1,4 +1,5 @@
 import json
+import re
 
 import numpy as np
 import pytest
@@ -7,8 +8,8 @@ from PIL import Image
 from tdgbench.scenes import SceneError
 from tdgbench.scenes.scene import TemperatureRange
 from tdgbench.scenes.temperature import Radiometry, read_radiometry
+from tests.helpers.layouts import write_mask, write_thermalmix
 from tests.helpers.layouts import write_stored as write
-from tests.helpers.layouts import write_thermalmix
 from tests.helpers.scenes import load
 
 LOWEST, STEP = 5500, 0.08  # counts, °C of one
@@ -62,6 +63,57 @@ def test_a_mixture_is_one_error(small_gray_scene, tmp_path, kind, others):
     path = folder / "thermal" / "view003.tiff"
     Image.fromarray(np.asarray(Image.open(path)).astype(kind)).save(path)
     with pytest.raises(SceneError, match=r"thermal holds images of several kinds: .*1 [^,]* \(view003\).*export all"):
+        load(folder)
+
+
+def test_counts_without_a_scale_mix_with_nothing(small_gray_scene, tmp_path):
+    """A range would make them shares of 65535 beside temperatures."""
+    folder = write(small_gray_scene, tmp_path, lambda degC: np.round((degC + 273.15) / 0.04).astype(np.uint16))
+    for path in [*(folder / "thermal").iterdir()][:7]:
+        xmp = {700: b'<rdf:Description Camera:TlinearGain="0.04"/>'}
+        Image.open(path).save(path, tiffinfo=xmp)
+    with pytest.raises(SceneError, match=r"several kinds: 3 16-bit \(.*7 16-bit TIFF of TlinearGain 0\.04 \("):
+        load(folder, temperature=[14.0, 54.0])
+    state(folder, min=14.0, max=54.0, degC_per_count=0.04, degC_at_zero=-273.15)
+    assert load(folder).temperature == TemperatureRange(14, 54)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_window_of_shown_images(small_gray_scene, tmp_path, bits):
+    most = 2**bits - 1
+    folder = write(small_gray_scene, tmp_path, lambda d: np.round((d - 14) / 40 * most).astype(f"u{bits // 8}"), ".png")
+    valid = np.ones((36, 48), bool)
+    valid[:5] = False
+    write_mask(folder, "view003", valid)
+    plain = load(folder, temperature=[14.0, 54.0])  # which nothing else states
+    state(folder, min=14.0, max=54.0)
+    assert not any(differs(load(folder), plain)) and load(folder).doubts == []
+    for low, high in ((20.0, 40.0), (0.0, 100.0)):
+        scene = load(folder, temperature=[low, high])
+        assert scene.temperature == TemperatureRange(low, high)
+        assert scene.assumed["values"].endswith(
+            f"{low:g} and {high:g} °C (data.temperature), of files that state 14 to 54 °C"
+        )
+        for view, whole in zip(scene.views, plain.views, strict=True):
+            expected = np.clip((14 + 40 * whole.thermal.astype(np.float64) - low) / (high - low), 0, 1)
+            if view.valid is not None:
+                expected[~view.valid] = 0
+            assert view.thermal.dtype == np.float32 and np.allclose(view.thermal, expected, atol=1e-6)
+    with pytest.raises(SceneError, match="no temperature lies between 60 and 70 °C"):
+        load(folder, temperature=[60.0, 70.0])
+
+
+def test_counts_that_are_taken_for_levels_are_doubted(small_gray_scene, tmp_path):
+    folder = write(small_gray_scene, tmp_path, lambda d: np.round((d + 273.15) * 100).astype(np.uint16), ".png")
+    (doubt,) = load(folder, temperature=[0.0, 60.0]).doubts
+    assert re.search(r"fill 4\.\d% of 0 to 65535, which are 0 and 60 °C; .* state degC_per_count", doubt)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_a_scale_of_counts_that_are_not_there(small_gray_scene, tmp_path, dtype):
+    folder = write(small_gray_scene, tmp_path, lambda degC: degC.astype(dtype))
+    state(folder, min=14.0, max=54.0, degC_per_count=0.5)
+    with pytest.raises(SceneError, match=r"thermal holds no 16-bit images, to which degC_per_count .* belongs; remove"):
         load(folder)
 
 
@@ -119,6 +171,12 @@ def test_a_hot_object_in_kelvin_is_doubted(small_gray_scene, tmp_path):
     assert "look like kelvin" in doubt
 
 
+def test_normalised_float_images_are_doubted(small_gray_scene, tmp_path):
+    folder = write(small_gray_scene, tmp_path, lambda degC: ((degC - 14) / 40).clip(0, 1).astype(np.float32))
+    (doubt,) = load(folder).doubts
+    assert "look like shares of a range; export the images again in °C" in doubt
+
+
 def test_a_frame_far_from_all_counts_is_masked(small_gray_scene, tmp_path):
     whole = load(write(small_gray_scene, tmp_path / "whole", counts))
     scene = load(write(small_gray_scene, tmp_path / "scene", lambda d: np.where(FRAME, 0, counts(d)).astype(np.uint16)))
@@ -127,8 +185,10 @@ def test_a_frame_far_from_all_counts_is_masked(small_gray_scene, tmp_path):
     assert load(scene.folder, fillers=[]).raw_count_range[0] == 0
 
 
-def test_counts_that_are_all_equal(small_gray_scene, tmp_path):
+def test_counts_of_training_views_that_are_all_equal(small_gray_scene, tmp_path):
     folder = write(small_gray_scene, tmp_path / "scene", lambda degC: np.full(degC.shape, LOWEST, np.uint16))
+    for name in ("view000", "view005"):
+        Image.fromarray(counts(np.full((36, 48), 40.0))).save(folder / "thermal" / f"{name}.tiff")
     with pytest.raises(SceneError, match=r"the raw counts of the training views give no range \(nearly all are 5500 "):
         load(folder)
 
@@ -143,6 +203,31 @@ def test_black_and_white_of_all_16_bits_are_measured(small_gray_scene, tmp_path)
 
     scene = load(write(small_gray_scene, tmp_path / "scene", stretched))
     assert scene.raw_count_range == (0, 65535) and all(view.valid is None for view in scene.views)
+
+
+def test_bounds_of_thermoscenes_in_any_layout(small_gray_scene, tmp_path):
+    folder = write(small_gray_scene, tmp_path / "scene", lambda degC: degC.astype(np.uint8))
+    without, bounds = load(folder).fingerprint, folder / "temperature_bounds.json"
+    bounds.write_text('{"absolute_min_temperature": 4, "absolute_max_temperature": 34, "made_by": "a script"}')
+    assert load(folder).temperature == TemperatureRange(4, 34) and load(folder).fingerprint != without
+    state(folder, min=4, max=34)
+    assert load(folder).temperature == TemperatureRange(4, 34)
+    state(folder, min=-10, max=90)
+    with pytest.raises(
+        SceneError, match=r"temperature\.json states -10 to 90 °C, .*_bounds\.json states 4 to 34 °C; rem"
+    ):
+        load(folder)
+
+
+@pytest.mark.parametrize(
+    ("key", "hint"),
+    [("units", "; did you mean unit?"), ("degc_per_count", "; did you mean degC_per_count?"), ("i", "")],
+)
+def test_other_keys_are_refused(tmp_path, key, hint):
+    state(tmp_path, **{"min": 39.2, "max": 93.2, key: "F"})
+    known = "min, max, unit, degC_per_count, degC_at_zero, comment"
+    with pytest.raises(SceneError, match=re.escape(f"it has the key '{key}', and may have {known}{hint}") + "$"):
+        read_radiometry(tmp_path / "temperature.json")
 
 
 def test_radiometry_file(tmp_path):

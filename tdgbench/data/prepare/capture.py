@@ -113,8 +113,9 @@ def read_capture(
     report.files += [FileReport(str(p), "", p.stem, "left out", why) for p, why in sources.left_out.items()]
     report.assumptions += sources.notes
     radiometry = read_radiometry(temperature_file(folder))
+    said = "--degC-per-count"
     if not scale.is_known and radiometry is not None:
-        scale = radiometry.scale
+        scale, said = radiometry.scale, f"degC_per_count of {temperature_file(folder)}"
     capture = Capture(work, Kind((0, 0), (0, 0), False, False))
     kinds: dict[Kind, list[FileReport]] = {}
     assumed: dict[str, Sequence[str]] = {}  # by view
@@ -134,6 +135,8 @@ def read_capture(
             count(index + 1)
     if not kinds:
         raise too_few(folder, 0, report)
+    if scale.is_known and not any(kind.counts for kind in kinds):
+        raise SceneError(f"{folder} holds no files of counts, to which {said} belongs; leave it out")
     _keep_main_kind(folder, capture, kinds, report)
     report.rgb_size = None if thermal_alone else capture.kind.rgb
     report.thermal_size = capture.kind.thermal
@@ -199,16 +202,9 @@ def read_view(files: ViewFiles, scale: CountScale, thermal_alone: bool = False) 
 def _stated(decoded: Decoded, files: ViewFiles, own: CountScale, given: CountScale) -> list[str]:
     """Return what files state, as FLIR's settings, a converter's, or TLinear, and what is assumed about them."""
     rgb = [] if files.rgb is None else header(files.rgb, as_picture=True).assumed
-    if found := decoded.settings:
-        settings = (
-            f"emissivity {found['emissivity']:.2f}, distance {found['object_distance']:g} m, reflected "
-            f"{found['reflected_apparent_temperature'] - 273.15:.1f} °C, window transmission "
-            f"{found['ir_window_transmission']:.2f}, relative humidity {100 * found['relative_humidity']:.0f} %"
-        )
-    elif own != given:
+    settings = decoded.settings_in_words or converted_with(files.thermal)
+    if own != given:
         settings = f"TLinear, °C = counts × {own.degC_per_count:g} - 273.15"
-    else:
-        settings = converted_with(files.thermal)
     lines = [
         f"temperatures are the object's, as set in the camera or its converter: {settings}" if settings else "",
         *decoded.header.assumed, *(f"RGB: {words}" for words in rgb), decoded.lost,

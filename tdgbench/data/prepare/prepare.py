@@ -87,12 +87,12 @@ def _prepare(folder: Path, part: Path, stages: Stages, options: PrepareOptions, 
     report.size, report.rgb_px = grid.size, grid.crop.pinhole.focal_length_x / float(grid.K[0, 0])
     if mapping.stated is not None and not options.thermal_alone:
         report.mapping = mapping.stated.real_to_ir, mapping.stated.offset_x, mapping.stated.offset_y
-    _write_views(part, capture, grid, mapping, own, report)
     radiometry = None if capture.kind.is_celsius else read_radiometry(temperature_file(folder))
     if radiometry is not None:
         low, high = report.temperature = radiometry.range.min, radiometry.range.max
         content = json.dumps({"unit": "degC", "min": low, "max": high})
         (part / FILE).write_text(f"{content}\n", encoding="utf-8")
+    _write_views(part, capture, grid, mapping, own, report)
     if structure is not None:
         names = {one.view: capture.views[one.view].image for one in report.written}
         cameras = [(f"{view}.png", grid.camera(structure.poses[image])) for view, image in names.items()]
@@ -228,8 +228,11 @@ def _note_structure(structure: Structure, capture: Capture, report: Report) -> N
 def _write_views(
     part: Path, capture: Capture, grid: Grid, mapping: Mapping, own: dict[str, Mapping], report: Report
 ) -> None:
-    """Resample and write the views of the scene. mapping: of thermal images but those of `own`, by view."""
-    written = report.written
+    """Resample and write the views of the scene. mapping: of thermal images but those of `own`, by view.
+
+    Levels of 8 bits stay so without a range, as 16 bits would be read as counts.
+    """
+    written, are_levels = report.written, not capture.kind.counts and report.temperature is None
     with step("views to write", len(written)) as count:
         for index, one in enumerate(written):
             photo = capture.rgb(one.view)
@@ -238,14 +241,16 @@ def _write_views(
             if not valid.any():
                 raise SceneError(f"{one.file}: no measured pixel lies inside the scene's images; leave the view out")
             one.invalid = float(1 - valid.mean())
-            _write_view(part, one.view, rgb, thermal, valid)
+            _write_view(part, one.view, rgb, thermal, valid, np.uint8 if are_levels else np.uint16)
             count(index + 1)
 
 
-def _write_view(folder: Path, name: str, rgb: np.ndarray | None, thermal: np.ndarray, valid: np.ndarray) -> None:
+def _write_view(
+    folder: Path, name: str, rgb: np.ndarray | None, thermal: np.ndarray, valid: np.ndarray, gray: type[np.integer]
+) -> None:
     """Write the images of a view, and a mask where a pixel is invalid: 255 for measured pixels, else 0.
 
-    °C (H, W) become float TIFF; values (H, W, C) in [0, 1], as RGB images are, 16-bit gray or 8-bit colour PNG.
+    °C (H, W) become float TIFF; values (H, W, C) in [0, 1], as RGB images are, PNG: `gray`, or 8-bit colour.
     """
     files = {}
     if rgb is not None:
@@ -253,7 +258,7 @@ def _write_view(folder: Path, name: str, rgb: np.ndarray | None, thermal: np.nda
     if thermal.ndim == 2:
         files[f"thermal/{name}.tiff"] = thermal.astype(np.float32)
     elif thermal.shape[2] == 1:
-        files[f"thermal/{name}.png"] = np.round(np.clip(thermal[..., 0], 0, 1) * 65535).astype(np.uint16)
+        files[f"thermal/{name}.png"] = np.round(np.clip(thermal[..., 0], 0, 1) * np.iinfo(gray).max).astype(gray)
     else:
         files[f"thermal/{name}.png"] = np.round(np.clip(thermal, 0, 1) * 255).astype(np.uint8)
     if not valid.all():

@@ -86,6 +86,17 @@ class Decoded:
     mapping: PhotoMapping | None = None
     settings: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def settings_in_words(self) -> str:
+        """The settings; empty without them."""
+        if not (found := self.settings):
+            return ""
+        return (
+            f"emissivity {found['emissivity']:.2f}, distance {found['object_distance']:g} m, reflected "
+            f"{found['reflected_apparent_temperature'] - 273.15:.1f} °C, window transmission "
+            f"{found['ir_window_transmission']:.2f}, relative humidity {100 * found['relative_humidity']:.0f} %"
+        )
+
 
 class Format(NamedTuple):
     """A container, or a camera's use of one. header and decode raise SceneError, or what their library raises."""

@@ -109,7 +109,7 @@ def _decode_deep(source: Source, header: Header) -> Decoded:
     values = imagecodecs.png_decode(source.file.read())
     if values.dtype != np.uint16 or values.shape[:2] != (header.height, header.width) or values.ndim != 3:
         raise ValueError(f"it states 16 bits, and has {values.dtype} {values.shape}")
-    has_alpha = _deep_colour_type(source) in (GRAY_ALPHA, RGB_ALPHA)
+    has_alpha = values.shape[2] in (2, 4)  # also of a transparent colour, tRNS
     return _without_alpha(values, header, source) if has_alpha else Decoded(values, header)
 
 

@@ -1,7 +1,7 @@
 """TIFF and BigTIFF: the largest page, in the depth that it has, as tifffile reads it.
 
-Facts: TIFF 6.0; tag 42113 (no data) and 42112 (scale and offset) of GDAL's driver GTiff; TlinearGain in FLIR's XMP.
-Whether black or white is 0 (PhotometricInterpretation) concerns how pictures of 8 bits are shown; counts and
+Facts: TIFF 6.0; tag 42113 (no data) and 42112 (scale, offset and unit) of GDAL's driver GTiff; TlinearGain in FLIR's
+XMP. Whether black or white is 0 (PhotometricInterpretation) concerns how pictures of 8 bits are shown; counts and
 temperatures are numbers, which stay as they are.
 """
 
@@ -22,15 +22,19 @@ from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats.decoded import NO_SCALE, Decoded, Depth, Format, Header, Meaning, Source, without_alpha
 from tdgbench.scenes.formats.pictures import decode_picture, picture_header
 from tdgbench.scenes.temperature import TEMPERATURES, CountScale
+from tdgbench.text import shortened
 
 STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 MOST_PAGES = 1000
 OWN = (PHOTOMETRIC.MINISBLACK, PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.RGB)  # other pictures of 8 bits are Pillow's
 ORIENTATION, XMP, GDAL_METADATA, GDAL_NODATA = 274, 700, 42112, 42113  # tags
 IS_MASK = 4  # bit of NewSubfileType
+WHOLE = (1, 8, 16, 32, 64)  # bits of samples that fill their type
 ALPHA = (1, 2)  # of ExtraSamples: associated, unassociated
 LARGEST = 2**24  # of counts, beyond which float32 skips some
 SCALED = re.compile(r'<Item[^>]*role="(scale|offset)"[^>]*>\s*([-+.\deE]+)\s*<')
+UNIT = re.compile(r'<Item[^>]*role="unittype"[^>]*>([^<]*)<')
+UNIT_WORDS = re.compile(r"(?i)degrees?|deg|[^a-z]")  # besides its name
 TLINEAR = re.compile(rb'TlinearGain(?:>|=")([\d.]+)')  # in XMP of FLIR's TIFF, which is not always well-formed
 
 
@@ -84,7 +88,8 @@ def _header(source: Source) -> Header:
 
 def _header_of(page: TiffPage, number: int | None, source: Source) -> Header:
     path, bits, kind = source.path, page.bitspersample, page.dtype
-    if kind is None or kind.kind not in "buif" or kind == np.int8 or page.imagedepth != 1:
+    is_odd = page.photometric in OWN and bits not in WHOLE  # 255 or 65535 is not their largest value
+    if kind is None or kind.kind not in "buif" or kind == np.int8 or page.imagedepth != 1 or is_odd:
         raise SceneError(f"{path} has pixels of {bits} bits in a form that is not read; export it as 16-bit or float")
     stated = page.tags.valueof(ORIENTATION, 1)
     turned = () if stated == 1 else (f"pixels as stored: TIFF orientation {str(stated)[:9]} is not applied",)
@@ -97,20 +102,29 @@ def _header_of(page: TiffPage, number: int | None, source: Source) -> Header:
     is_float = kind.kind == "f"
     depth: Depth = "8-bit" if kind.itemsize == 1 else "float" if is_float else "16-bit"
     meaning: Meaning = "shown" if kind.itemsize == 1 else "°C" if is_float else "counts"
+    _check_gdal(page, is_float, path)
     if meaning != "shown":
-        _check_measured(page, is_float, path)
+        _check_bands(page, is_float, path)
     scale = _tlinear(page) if meaning == "counts" else NO_SCALE
     return Header("TIFF", page.imagewidth, page.imagelength, depth, meaning, scale, turned)
 
 
-def _check_measured(page: TiffPage, is_float: bool, path: Path) -> None:
-    """Raise SceneError for a number of bands that no image of more than 8 bits has, and for values that GDAL scales."""
+def _check_bands(page: TiffPage, is_float: bool, path: Path) -> None:
+    """Raise SceneError for a number of bands that no image of more than 8 bits has."""
     bands = page.samplesperpixel - len([one for one in page.extrasamples if one in ALPHA])
     if bands not in (1, 3):
         raise SceneError(f"{path} has {bands} bands of {page.bitspersample} bits; an image has 1 or 3. Save one band")
     if is_float and bands == 3:
         raise SceneError(f"{path} has 3 bands of float values; temperatures in °C are one. Save one band")
-    gdal = {role: float(text) for role, text in SCALED.findall(str(page.tags.valueof(GDAL_METADATA, ""))[:100_000])}
+
+
+def _check_gdal(page: TiffPage, is_float: bool, path: Path) -> None:
+    """Raise SceneError for values that GDAL scales, and for floats in another unit than °C."""
+    metadata = str(page.tags.valueof(GDAL_METADATA, ""))[:100_000]
+    for unit in UNIT.findall(metadata) if is_float else ():
+        if UNIT_WORDS.sub("", unit).lower() not in ("c", "celsius", ""):
+            raise SceneError(f"{path} states that its unit is {shortened(unit, 30)}; export it as float TIFF in °C")
+    gdal = {role: float(text) for role, text in SCALED.findall(metadata)}
     if (gdal.get("scale", 1.0), gdal.get("offset", 0.0)) != (1, 0):
         raise SceneError(
             f"{path} states that its values are scaled ({', '.join(f'{k} {v:g}' for k, v in gdal.items())}), in a unit "

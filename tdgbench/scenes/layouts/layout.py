@@ -21,9 +21,9 @@ from tdgbench.scenes.colmap.tables import ImageEntry
 from tdgbench.scenes.errors import SceneError
 from tdgbench.scenes.formats import SUFFIXES
 from tdgbench.scenes.inputs import check_view_name, is_folder, is_there, listed, regular_file
-from tdgbench.scenes.names import about_unread, key, of_modality, pair, view_names
+from tdgbench.scenes.names import about_unread, in_other_folders, key, of_modality, pair, view_names
 from tdgbench.scenes.scene import PointCloud
-from tdgbench.scenes.temperature import FILE, Radiometry, read_radiometry
+from tdgbench.scenes.temperature import Radiometry, read_radiometry, temperature_file
 from tdgbench.scenes.thermal import ThermalRequest
 from tdgbench.scenes.view_images import Mask, ThermalImages
 from tdgbench.text import first_few
@@ -85,11 +85,14 @@ def find_scene(
     place, entries, assumed, notes = _chosen_model(folder, places, title, thermal, modality)
     posed, points, others = read_model(place, modality, entries)
     shown = by_view(folder, thermal, posed)
+    if across := in_other_folders(pair(thermal.paths, _keys(posed), str(folder)), _keys(posed)):
+        assumed = {**assumed, "names": f"paired by base names: {across}"}
     pictures, unpaired = _registered_pairs(folder, rgb, posed, others)
-    files = [*(path for path in listed(place) if path.is_file()), *([folder / FILE] if is_there(folder / FILE) else [])]
+    stated = temperature_file(folder)
+    files = [*(path for path in listed(place) if path.is_file()), *([stated] if is_there(stated) else [])]
     masks, about, unread = find_masks(folder, posed, (shown.paths, pictures), {})
     return SceneFiles(
-        posed, points, shown.paths, pictures, shown.shipped, read_radiometry(folder / FILE), files=files,
+        posed, points, shown.paths, pictures, shown.shipped, read_radiometry(stated), files=files,
         notes=[*thermal.notes, *rgb.notes, *notes, *unpaired, *unread], masks=masks, assumed={**assumed, **about},
         model=place,
     )  # fmt: skip

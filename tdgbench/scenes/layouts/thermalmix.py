@@ -104,13 +104,15 @@ def _read_thermal(request: ThermalRequest, unwarped: Mapping[str, Path]) -> Ther
     notes, how = [], "gray, of known °C"
     if request.radiometry is None:
         published = published_range(request.scene)
-        if published is None:
+        stated = published or request.window
+        if stated is None:
             raise SceneError(
                 f"{request.sources[pictures[0]].path.parent} holds gray images, and no temperatures of black and white "
                 "are published for a scene of this name; set data.temperature=[min,max] in °C, or add temperature.json"
             )
-        how = f"gray; black and white are {published.min:g} and {published.max:g} °C, as published"
-        request = replace(request, radiometry=Radiometry(published))
+        if published is not None:
+            how = f"gray; black and white are {published.min:g} and {published.max:g} °C, as published"
+        request = replace(request, radiometry=Radiometry(stated))
     if arrays := len(request.sources) - len(pictures):
         notes.append(f"{arrays} views are read from arrays, {len(pictures)} from gray images: {first_few(pictures)}")
     alone = [name for name in pictures if name not in unwarped]

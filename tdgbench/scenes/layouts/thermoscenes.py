@@ -78,7 +78,8 @@ def _files(
         place = by_name.get(name) if own is None else there(folder / own)
         if place is not None:
             thermal[name] = _image(place, where)
-        if frame.file_path != own and (photo := there(folder / frame.file_path)) is not None:
+        photo = there(folder / frame.file_path)
+        if photo is not None and (place is None or not photo.samefile(place)):
             rgb[name] = _image(photo, where)
         if frame.mask_path is not None:
             masks[name] = _image(folder / frame.mask_path, where)

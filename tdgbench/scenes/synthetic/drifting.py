@@ -86,7 +86,12 @@ def drifting(clean: Scene, errors: ThermalErrors, seed: int, noise_degC: float =
 
     train, test = ([seen(view) for view in part] for part in (clean.train, clean.test))
     truth = CameraTruth(list(images), replace(camera, limits=ends))
-    return replace(clean, train=train, test=test, temperature=span), truth
+    known = "each view stretched, of unknown °C"
+    if span is not None:
+        known = f"0 and 1 are {span.min:.4g} and {span.max:.4g} °C"
+    assumed = {key: said for key, said in clean.assumed.items() if key != "range"}
+    assumed["values"] = f"gray, with errors of a thermal camera; {known}"
+    return replace(clean, train=train, test=test, temperature=span, assumed=assumed), truth
 
 
 def _range_of(clean: Scene) -> TemperatureRange:

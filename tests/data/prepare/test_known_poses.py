@@ -99,7 +99,7 @@ def test_origin_and_lens_of_a_map(tmp_path):
     """Reading the scene moves its origin. Without features there are no points."""
     (tmp_path / "camera").mkdir()
     for index in range(3):
-        slope = np.tile(np.linspace(20, 21, WIDTH, dtype=np.float32), (HEIGHT, 1))
+        slope = np.tile(np.linspace(20, 21 + index / 100, WIDTH, dtype=np.float32), (HEIGHT, 1))
         Image.fromarray(slope).save(tmp_path / "camera" / f"{index}.tiff")
     origin = np.array([2.6e6, 1.2e6, 400])
     options = table(tmp_path / "a.txt", ["0.tif", "1.tif", "2.tif"], origin)

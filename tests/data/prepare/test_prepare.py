@@ -121,7 +121,7 @@ def test_radiometric_tiff_pairs_and_masks(tmp_path):
         values = degC.astype(np.float32)
         values[3:6, 3:6] = np.nan
         Image.fromarray(values).save(source / f"{index}_T.tiff")
-    report = prepare_scene(source, tmp_path / "nan", options)
+    report = prepare_scene(source, tmp_path / "nan", replace(options, counts=CountScale()))
     mask = np.asarray(Image.open(tmp_path / "nan" / "masks" / "2.png"))
     assert set(np.unique(mask)) == {0, 255} and (mask[3:6, 3:6] == 0).all() and (mask == 0).mean() < 0.03
     assert "see masks/" in report.text()
@@ -195,6 +195,18 @@ def test_stated_temperatures_of_dji_counts(tmp_path, small_gray_scene, monkeypat
     for view in small_gray_scene.views[:6]:
         degC = read_celsius(tmp_path / "scene" / "thermal" / f"{view.name}.tiff")
         assert np.nanmax(np.abs(degC - celsius(view, small_gray_scene))) <= 0.0126  # half a count
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_a_scale_of_counts_that_are_not_there(tmp_path, dtype):
+    for index in range(3):
+        Image.fromarray(np.full((36, 48), 20 + index, dtype)).save(tmp_path / f"{index}.tiff")
+    alone = replace(THERMAL_ALONE, extracts_only=True)
+    with pytest.raises(SceneError, match="holds no files of counts, to which --degC-per-count belongs; leave it out"):
+        prepare_scene(tmp_path, tmp_path / "out", replace(alone, counts=CountScale(0.5, -20)))
+    (tmp_path / "temperature.json").write_text('{"min": 0, "max": 90, "degC_per_count": 0.5}')
+    with pytest.raises(SceneError, match=r"to which degC_per_count of .*temperature\.json belongs"):
+        prepare_scene(tmp_path, tmp_path / "out", alone)
 
 
 def test_each_view_has_the_mapping_that_its_file_states(tmp_path):
@@ -299,6 +311,19 @@ def test_gray_pictures_with_chroma_and_bounds_of_thermoscenes(tmp_path, small_gr
         stored = np.asarray(Image.open(tmp_path / "out" / "thermal" / f"{view.name}.png"))
         error = np.abs(stored / 65535 - (view.thermal[..., 0] * 235 + 10) / 255)
         assert stored.ndim == 2 and error.mean() < 0.005 and error.max() < 0.06
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_gray_levels_without_a_range_keep_their_depth(tmp_path, small_gray_scene, dtype):
+    """Written with 16 bits, they would be read as counts."""
+    (tmp_path / "camera").mkdir()
+    for view in small_gray_scene.views[:3]:
+        levels = np.round(view.thermal[..., 0] * np.iinfo(dtype).max).astype(dtype)
+        Image.fromarray(levels).save(tmp_path / "camera" / f"{view.name}.png")
+    prepare_scene(tmp_path / "camera", tmp_path / "out", replace(THERMAL_ALONE, extracts_only=True))
+    for path in (tmp_path / "camera").iterdir():
+        stored, own = (np.asarray(Image.open(one)) for one in (tmp_path / "out" / "thermal" / path.name, path))
+        assert stored.dtype == dtype and np.array_equal(stored, own)
 
 
 def test_files_that_cannot_be_read_are_told_with_several_kinds(tmp_path):

@@ -12,11 +12,11 @@ from tdgbench.scenes.images import read_image
 COUNTS = np.random.default_rng(0).integers(7000, 9000, (24, 32)).astype(np.uint16)
 
 
-def write_png(path, values, colour_type):
-    """A PNG of 16 bits a channel, (H, W, C) uint16; PNG specification, 11.2."""
+def write_png(path, values, colour_type, *more):
+    """A PNG of 16 bits a channel, (H, W, C) uint16, with more chunks; PNG specification, 11.2."""
     rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in values)
     head = struct.pack(">IIBBBBB", values.shape[1], values.shape[0], 16, colour_type, 0, 0, 0)
-    chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
+    chunks = ((b"IHDR", head), *more, (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
     parts = [struct.pack(">I", len(c)) + kind + c + struct.pack(">I", zlib.crc32(kind + c)) for kind, c in chunks]
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(parts))
     return path
@@ -43,6 +43,15 @@ def test_transparent_pixels_are_not_valid(tmp_path):
     assert np.array_equal(decode(tmp_path / "key.png").valid, levels != levels[0, 0])
     with pytest.raises(SceneError, match=r"c\.png has transparent pixels"):
         read_image(tmp_path / "c.png")
+
+
+def test_a_transparent_colour_of_16_bits(tmp_path):
+    values = np.stack([COUNTS, COUNTS + 1, COUNTS + 2], axis=-1)
+    path = write_png(tmp_path / "t.png", values, 2, (b"tRNS", values[3, 4].astype(">u2").tobytes()))
+    decoded = decode(path)
+    assert np.array_equal(decoded.values, values) and np.array_equal(decoded.valid, np.not_equal(COUNTS, COUNTS[3, 4]))
+    with pytest.raises(SceneError, match=r"t\.png has transparent pixels"):
+        read_image(path)
 
 
 def test_temperatures_behind_a_picture_are_told(tmp_path):

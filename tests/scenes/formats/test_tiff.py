@@ -120,6 +120,28 @@ def test_a_value_for_no_data_that_no_pixel_can_have(tmp_path, nodata, dtype):
     assert decode(tmp_path / "t.tif").valid.all()
 
 
+def item(role, text):
+    """Tag 42112 with a line of GDAL's metadata."""
+    return {"extratags": [(42112, 2, 0, f'<Item name="S" sample="0" role="{role}">{text}</Item>'.encode(), True)]}
+
+
+@pytest.mark.parametrize("unit", ["°C", "degC", "deg C", "Celsius", "degrees Celsius", ""])
+def test_floats_in_celsius_by_their_unit(tmp_path, unit):
+    tifffile.imwrite(tmp_path / "t.tif", CELSIUS, **item("unittype", unit))
+    assert np.array_equal(decode(tmp_path / "t.tif").values[..., 0], CELSIUS)
+
+
+@pytest.mark.parametrize("bits", [2, 4, 12])
+def test_samples_that_do_not_fill_their_type(tmp_path, bits):
+    tifffile.imwrite(
+        tmp_path / "t.tif", np.zeros((8, 8), np.uint16 if bits > 8 else np.uint8), photometric="minisblack"
+    )
+    with tifffile.TiffFile(tmp_path / "t.tif", mode="r+") as tiff:
+        tiff.pages[0].tags["BitsPerSample"].overwrite(bits)
+    with pytest.raises(SceneError, match=rf"t\.tif has pixels of {bits} bits in a form that is not read; export it"):
+        header(tmp_path / "t.tif")
+
+
 @pytest.mark.parametrize(
     ("written", "message"),
     [
@@ -130,7 +152,10 @@ def test_a_value_for_no_data_that_no_pixel_can_have(tmp_path, nodata, dtype):
         ({"data": KELVIN.astype(np.complex64)}, "in a form that is not read"),
         ({"data": KELVIN.astype(np.int8)}, "in a form that is not read"),
         ({"data": KELVIN, "photometric": "cfa", "extratags": []}, "16-bit pixels of .*CFA"),
-        ({"data": KELVIN, "extratags": [(42112, 2, 0, '<Item name="S" role="scale">0.01</Item>', True)]}, "are scaled"),
+        ({"data": KELVIN, **item("scale", 0.01)}, "are scaled"),
+        ({"data": np.uint8(X), **item("offset", -10)}, "are scaled"),
+        ({"data": CELSIUS, **item("unittype", "K")}, "its unit is K; export it as float TIFF in °C"),
+        ({"data": CELSIUS, **item("unittype", "°F")}, "its unit is °F;"),
     ],
 )  # fmt: skip
 def test_what_is_not_read_is_named(tmp_path, written, message):

@@ -74,7 +74,16 @@ def test_names(folder, kind):
     renamed(folder, in_model, on_disk)
     scene = load(folder)
     same(scene, original)
-    assert scene.views[0].name == first and scene.notes == original.notes
+    assert scene.views[0].name == first and scene.notes == original.notes and "names" not in scene.assumed
+
+
+def test_pairs_across_folders_are_told(folder):
+    original = load(folder)
+    _ = [view.rgb for view in original.views]
+    renamed(folder, lambda name: f"tuesday/{name}", lambda name: f"monday/{name}")
+    scene = load(folder)
+    same(scene, original)
+    assert scene.assumed["names"] == "paired by base names: files in monday/, poses of tuesday/"
 
 
 def test_names_that_do_not_pair_say_why(folder):

@@ -47,6 +47,17 @@ def test_temperatures_of_raw_images(small_scene, tmp_path):
     assert load(folder).channels == 3
 
 
+def test_settings_of_the_camera_are_told(small_scene, tmp_path):
+    folder = write_rgbt_scenes(small_scene, tmp_path / "Truck", raw_images=True)
+    scene = load(folder, thermal="radiometric")
+    assert scene.assumed["settings"].startswith("emissivity 1.00, distance 0 m, reflected ") and scene.doubts == []
+    counts = FlirCamera().counts(celsius(small_scene.views[3], small_scene))
+    write_flir(folder / "raw_images" / "view003.jpg", counts, camera=FlirCamera(emissivity=0.6))
+    scene = load(folder, thermal="radiometric")
+    assert "; emissivity 0.60, distance" in scene.assumed["settings"]
+    assert "settings differ between views (2 sets; view009 and view003)" in scene.doubts[0]
+
+
 def test_radiometric_files_that_do_not_fit(small_scene, tmp_path):
     folder = write_rgbt_scenes(small_scene, tmp_path / "Truck")
     with pytest.raises(SceneError, match=r"has no raw_images/ folder of radiometric files"):
@@ -56,8 +67,8 @@ def test_radiometric_files_that_do_not_fit(small_scene, tmp_path):
     write_flir(folder / "raw_images" / "FLIR001.jpg", counts)
     with pytest.raises(SceneError, match=r"have no view in common \(\['FLIR001'\].*; rename the radiometric files"):
         load(folder, thermal="radiometric")
-    for view in small_scene.views[:4]:
-        write_flir(folder / "raw_images" / f"{view.name}.jpg", counts)
+    for number, view in enumerate(small_scene.views[:4]):
+        write_flir(folder / "raw_images" / f"{view.name}.jpg", counts + np.uint16(number))
     with pytest.raises(SceneError, match=r"view00\d\.jpg is 36×36, but its camera is 48×36"):
         load(folder, thermal="radiometric")
     for view in small_scene.views[:4]:

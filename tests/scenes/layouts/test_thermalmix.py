@@ -210,6 +210,15 @@ def test_the_range_is_published_for_scenes_of_these_names(small_gray_scene, tmp_
     assert load(folder, temperature=[5, 50]).temperature == TemperatureRange(5, 50)
 
 
+def test_a_window_of_the_published_range(small_gray_scene, tmp_path):
+    folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion")
+    whole, scene = load(folder), load(folder, temperature=[20, 30])
+    assert scene.temperature == TemperatureRange(20, 30) and scene.assumed["values"] == whole.assumed["values"]
+    for view, other in zip(scene.views, whole.views, strict=True):
+        degC = LION.min + (LION.max - LION.min) * other.thermal
+        assert np.allclose(view.thermal, ((degC - 20) / 10).clip(0, 1), atol=1e-5)
+
+
 def test_arrays_win(small_gray_scene, tmp_path):
     folder = write_downloaded_thermalmix(small_gray_scene, tmp_path / "lion", frame=5)
     shown = load(folder)

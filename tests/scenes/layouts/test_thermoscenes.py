@@ -1,4 +1,5 @@
 import json
+import re
 import shutil
 
 import numpy as np
@@ -46,6 +47,24 @@ def test_variants_of_the_file(small_gray_scene, tmp_path, options):
     view = scene.train[0]
     assert view.thermal.shape[:2] == view.rgb.shape[:2] == (view.camera.height, view.camera.width)
     assert scene.notes == []
+
+
+@pytest.mark.parametrize("names_thermal", [True, False])
+def test_a_thermal_image_is_no_rgb_image_of_itself(small_gray_scene, tmp_path, names_thermal):
+    folder = write_thermoscenes(small_gray_scene, tmp_path / "cup", names_thermal=names_thermal)
+    path = folder / "transforms.json"
+    path.write_text(re.sub(r"images/(\w+)\.jpg", r"./thermal/\1.png", path.read_text()))
+    scene = load(folder)
+    assert len(scene.views) == 10 and all(view.load_rgb is None for view in scene.views)
+
+
+def test_two_files_that_state_ranges(small_gray_scene, tmp_path):
+    folder = write_thermoscenes(small_gray_scene, tmp_path / "cup")
+    (folder / "temperature.json").write_text('{"min": -10, "max": 90}')
+    with pytest.raises(
+        SceneError, match=r"temperature\.json states -10 to 90 °C, .*bounds\.json states 14 to 50 °C; rem"
+    ):
+        load(folder)
 
 
 def test_as_a_data_set(small_gray_scene, tmp_path):

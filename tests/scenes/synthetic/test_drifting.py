@@ -36,6 +36,19 @@ def test_every_view_shows_the_true_temperatures_with_the_camera_s_errors(data_ro
     assert values.min() > 0 and values.max() < 1 and np.ptp(camera.offsets) > 1
 
 
+@pytest.mark.parametrize("encoding", [None, "range", "agc"])
+def test_what_is_assumed_is_of_the_errors(data_root, encoding):
+    clean = small_dataset(data_root).load("turntable")
+    clean.assumed["range"] = "image values 0 and 1 are 14 and 50 °C"  # as of float images
+    scene, _ = drifting(clean, replace(ERRORS, encoding=encoding), 0)
+    span = scene.temperature
+    known = (
+        "each view stretched, of unknown °C" if span is None else f"0 and 1 are {span.min:.4g} and {span.max:.4g} °C"
+    )
+    assert scene.assumed["values"] == f"gray, with errors of a thermal camera; {known}"
+    assert "range" not in scene.assumed and scene.assumed["size"] == clean.assumed["size"]
+
+
 def test_another_seed_or_error_is_another_scene(data_root):
     names = [{}, {"seed": 1}, {"noise_degC": 0.1}]
     scenes = [dataset(data_root, **one).load("turntable") for one in names]
