@@ -191,15 +191,15 @@ def test_a_method_or_init_with_the_name_of_another_one_is_refused(tmp_path):
     shutil.copy(ROOT / "conf" / "method" / "3dgs.yaml", tmp_path / "yaml" / "method" / "mine.yaml")
     run = command_here(tmp_path, "--config-dir", "yaml", "method=mine", "scene=facade", *QUICK)
     assert run.returncode == 1
-    said = "method.name=3dgs: would have cells of another method; set `name: mine` in mine.yaml"
+    said = "method.name=3dgs: is another method; set `name: mine` in mine.yaml"
     assert run.stderr == f"error: {said}\n"
     (tmp_path / "yaml" / "init").mkdir()
     shutil.copy(ROOT / "conf" / "init" / "random.yaml", tmp_path / "yaml" / "init" / "small.yaml")
     run = command_here(tmp_path, "--config-dir", "yaml", "method=3dgs", "init=small", "scene=facade", *QUICK)
-    said = "init.name=random: would have cells of another init; set `name: small` in small.yaml"
+    said = "init.name=random: is another init; set `name: small` in small.yaml"
     assert run.returncode == 1 and run.stderr == f"error: {said}\n"
     run = command_here(tmp_path, "method=renders", "method.folder=x", "method.name=3dgs", "scene=facade", *QUICK)
-    said = "method.name=3dgs: is a name of tdgbench's; choose another, such as method.name=3dgs_authors"
+    said = "method.name=3dgs: is the name of another method; choose one of your own, such as method.name=3dgs_authors"
     assert run.returncode == 1 and run.stderr == f"error: {said}\n"
 
 

@@ -110,20 +110,21 @@ def check_choices(cfg: DictConfig) -> None:
 
 
 def check_cell_names(cfg: DictConfig, chosen: Mapping[str, Any]) -> None:
-    """Check the names that decide a cell's folder, of the method and the initial points: they are those of their files,
-    <choice>.yaml, or typed, and then none of tdgbench's. So is the name of the method's baseline, which must be a
-    method, one of the user's folders, or have cells here. chosen: the choices by group. Raises OptionError.
+    """Check the names of the method and the initial points, by which cells have their folders: none is that of another
+    file, of tdgbench or of the user's folders. So is the name of the method's baseline, which must be a method, one of
+    the user's folders, or have cells here. chosen: the choices by group. Raises OptionError.
     """
     for group in ("method", "init"):
         name, choice = OmegaConf.select(cfg, f"{group}.name"), chosen.get(group)
-        if choice in (None, name):
+        others = [
+            *choices(group),
+            *(one.stem for folder in _folders_of_user(cfg) for one in folder.glob(f"{group}/*.yaml")),
+        ]
+        if choice in (None, name) or name not in others:
             continue
-        if not _is_typed(cfg, f"{group}.name"):
-            what = f"would have cells of another {group}; set `name: {choice}` in {choice}.yaml"
-        elif name in choices(group):
-            what = f"is a name of tdgbench's; choose another, such as {group}.name={name}_authors"
-        else:
-            continue
+        what = f"is another {group}; set `name: {choice}` in {choice}.yaml"
+        if choice in choices(group):
+            what = f"is the name of another {group}; choose one of your own, such as {group}.name={name}_authors"
         raise OptionError([Problem(f"{group}.name", what, name)])
     baseline = OmegaConf.select(cfg, "method.compared_with")
     experiment = Path(str(cfg.results)) / str(cfg.name)
@@ -151,16 +152,10 @@ def _folders_of_user(cfg: DictConfig) -> list[Path]:
     return [Path(source.path) for source in sources if source.provider == "command-line"]
 
 
-def _is_typed(cfg: DictConfig, option: str) -> bool:
-    """Return whether the command line names an option."""
-    hydra = _hydra_of(cfg)
-    return hydra is not None and any(word.lstrip("+").startswith(f"{option}=") for word in hydra.overrides.task)
-
-
 def _written_in(cfg: DictConfig, option: str) -> str:
     """Return ` (in FILE)` for an option of a chosen file of the user's folders that is not typed; else nothing."""
     group, hydra = option.partition(".")[0], _hydra_of(cfg)
-    if hydra is None or _is_typed(cfg, option):
+    if hydra is None or any(word.lstrip("+").startswith(f"{option}=") for word in hydra.overrides.task):
         return ""
     files = (folder / group / f"{hydra.runtime.choices.get(group)}.yaml" for folder in _folders_of_user(cfg))
     return next((f" (in {path})" for path in files if path.is_file()), "")

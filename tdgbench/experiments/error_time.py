@@ -84,14 +84,10 @@ class ErrorTime(Experiment):
         if not curves.empty:
             first, *others = [run.label for run in runs_of(cfg)]
             savings = faster_by(curves, first, others)
-            busy = dict.fromkeys(curves.loc[curves["busy"], "label"])
-            if busy:
-                say(
-                    f"other work took processor time from {', '.join(busy)}: their times are not compared",
-                    "n/a:",
-                    "yellow",
-                )
             write_tables(folder, {"curves": curves, "faster": savings})
+            ends = curves.groupby(["scene", "label"], sort=False).tail(1)
+            if busy := [f"{one.label} on {one.scene}" for one in ends[ends["busy"]].itertuples()]:
+                say(f"times of {', '.join(busy)}, from which other work took processor time", "n/a:", "yellow")
             shown = {
                 name: (name, "{}" if name in ("scene", "label") else "{:.3g}")
                 for name in savings

@@ -29,7 +29,9 @@ def view_pictures(cell: CellFolder, view: str, scale: ColourScale) -> ViewPictur
 
     Raises ValueError or OSError where one is unusable, or its °C are not those of the scale.
     """
-    stored, scale = cell.pictures(view), scale.of_range(cell.record.temperature_range)
+    stored = cell.pictures(view)
+    if stored.truth.shape[2] == 1:
+        scale = scale.of_range(cell.record.temperature_range)
     truth, render = (
         grayed(in_colour(one, scale.low, scale.high), stored.valid) for one in (stored.truth, stored.render)
     )

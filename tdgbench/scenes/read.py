@@ -23,11 +23,10 @@ from tdgbench.scenes.names import in_case_alone
 from tdgbench.scenes.options import Description, ReadOptions, split_names
 from tdgbench.scenes.registry import origin_of, sensor_of
 from tdgbench.scenes.scene import Scene, View
-from tdgbench.scenes.thermal import ThermalRequest, thermal_images
+from tdgbench.scenes.thermal import RAW_IMAGES, ThermalRequest, thermal_images
 from tdgbench.scenes.view_images import ImageSource, ThermalImages, native_camera, resample
 from tdgbench.text import first_few
 
-RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
 DEPTH, TRUE = "depth", "temperature"  # folders of true depth and true temperatures, of synthetic scenes
 
 

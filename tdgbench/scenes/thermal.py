@@ -32,6 +32,7 @@ from tdgbench.scenes.view_images import (
 )
 from tdgbench.text import first_few
 
+RAW_IMAGES = "raw_images"  # of RGBT-Scenes: the cameras' radiometric files
 LIKE_KELVIN = 233.0  # K are -40 °C; a scene whose coldest point has more than 233 °C is none that people walk about
 LEAST_FILLED = 0.05  # of 0 to 65535; levels that a program stretches fill more, and counts of a camera less
 MOST_SETTINGS = 3  # in what is assumed
@@ -116,7 +117,7 @@ def thermal_images(request: ThermalRequest) -> ThermalImages:
     are_counts = [kind.startswith("16-bit") for kind in kinds]
     if known is not None and all(are_counts) and (known.scale.is_known or all(SCALED in kind for kind in kinds)):
         return measured_images(request, request.reader, CELSIUS_OF_IMAGES)
-    if request.scale.is_known and not any(are_counts):
+    if request.scale.is_known and not any(are_counts) and not (request.folder.parent / RAW_IMAGES).is_dir():
         raise SceneError(
             f"{request.folder} holds no 16-bit images, to which degC_per_count of temperature.json belongs; remove it"
         )
@@ -157,13 +158,17 @@ def _shown(request: ThermalRequest, known: Radiometry | None, without_scale: boo
         return found
     if window.max <= stated.min or window.min >= stated.max:
         raise _nothing_between(request, window)
-    images = {}
+    images, clipped, count = {}, 0, 0
     for name, view in found.images.items():
-        degC = stated.min + (stated.max - stated.min) * view.image.astype(np.float64)
-        images[name] = _scaled(view._replace(image=degC), window, np.float64)
+        scaled = view._replace(image=stated.min + (stated.max - stated.min) * view.image.astype(np.float64))
+        degC = _valid_values(scaled)
+        clipped += int(np.count_nonzero((degC < window.min) | (degC > window.max)))
+        count += degC.size
+        images[name] = _scaled(scaled, window, np.float64)
     ends = f"{window.min:g} and {window.max:g} °C (data.temperature)"
     said = f"gray, 0 and 1 are {ends}, of files that state {stated.min:g} to {stated.max:g} °C"
-    return replace(found, images=images, temperature=window, assumed={"values": said})
+    shares = f"image values 0 and 1 are {ends}; {clipped / count:.2%} of the pixels are clipped"
+    return replace(found, images=images, temperature=window, assumed={"values": said, "range": shares})
 
 
 def _nothing_between(request: ThermalRequest, span: TemperatureRange) -> SceneError:

@@ -51,7 +51,7 @@ def setting_problems(record: Record) -> Iterator[str]:
     """Yield fields that differ from the configuration, and settings of scores that are unknown."""
     stated = {"method.name": record.method, "init.name": record.init, "seed": record.seed}
     stated["metrics.convention"] = record.convention
-    if record.prior is not None:
+    if record.prior is not None and record.setting("prior.made_from") is not None:  # 0.8.0 leaves it out
         stated["prior.made_from"] = record.prior_made_from
     for name, value in stated.items():
         if record.setting(name) != value:

@@ -21,7 +21,7 @@ from tdgbench.cells.known_classes import built, known_classes
 from tdgbench.cells.paths import files_of
 from tdgbench.cells.read_files import MOST_PIXELS
 from tdgbench.cells.record import Record
-from tdgbench.scenes import Scene, SceneError, View
+from tdgbench.scenes import Scene, SceneError
 from tdgbench.scenes.datasets import outline_of
 from tdgbench.scenes.images import degC_of_values
 from tdgbench.scenes.modalities import LABELS, OTHERS, THERMAL, image_of
@@ -38,10 +38,16 @@ NAME_IT = "name the folder of its data with --data DIR"
 
 
 class Truth(NamedTuple):
-    """A scene as the data give it. images: thermal ground truth of each test view."""
+    """What the data say of a scene. images: 8-bit ground truth of each test view, by modality. views: names, by part.
 
-    images: dict[str, np.ndarray]
-    scene: Scene
+    facts: fields of a record. range: °C of 0 and 1, if it is known.
+    """
+
+    images: dict[str, dict[str, np.ndarray]]
+    views: dict[str, set[str]]
+    facts: dict[str, str]
+    range: list[float] | None
+    in_palette: bool
 
 
 class TrueData:
@@ -79,7 +85,7 @@ class TrueData:
                 if view.camera.width * view.camera.height > MOST_PIXELS:
                     raise ValueError(f"{view.name} would have {view.camera.width}×{view.camera.height} px")
             scene = outline.read()
-            self._read[key] = Truth({view.name: truth_of(view) for view in scene.test}, scene)
+            self._read[key] = _truth_of(scene, record)
         return self._read[key]
 
     def _spend(self, loader: dict[str, Any]) -> None:
@@ -114,48 +120,51 @@ def truth_problems(cell: CellFolder) -> Iterator[str]:
             yield f"{TARGETS}/{view}.png is not the ground truth that was scored"
 
 
+def _truth_of(scene: Scene, record: Record) -> Truth:
+    """Return what a scene that was read says of a record's cell."""
+    images = {THERMAL: {view.name: truth_of(view) for view in scene.test}}
+    for modality in OTHERS:
+        shown = {view.name: image_of(view, modality) for view in scene.test}
+        images[modality] = {name: to_8bit(image) for name, image in shown.items() if image is not None}
+    views = {part: {view.name for view in of_part} for part, of_part in (("train", scene.train), ("test", scene.test))}
+    facts = {"data set": scene.dataset, "split": scene.split, "group": scene.group}
+    by_data = replace(record)
+    state_assumptions(by_data, scene)
+    state_values(by_data, scene)
+    return Truth(images, views, facts, degC_of_values(scene), by_data.in_palette)
+
+
 def data_problems(cell: CellFolder, data: TrueData) -> Iterator[str]:
     """Yield views that are not those of the data, test views with another ground truth, and facts of the record that
     the data contradict. Raises as `TrueData.truth_of`.
     """
-    record, title = cell.record, f"{cell.record.dataset}/{cell.record.scene}"
+    record = cell.record
     try:
-        truth, scene = data.truth_of(record)
+        truth = data.truth_of(record)
     except SceneError as error:
         raise ValueError(str(error)) from error
-    for name, words in {"dataset": "data set", "split": "split", "group": "group"}.items():
-        if getattr(record, name) != getattr(scene, name):
-            yield f"its {words} is {getattr(record, name)}, that of the data {getattr(scene, name)}"
-    for words, cameras, views in (
-        ("training", cell.cameras["train"], scene.train),
-        ("test", cell.test_cameras, scene.test),
-    ):
-        if unknown := set(cameras) ^ {view.name for view in views}:
+    stated = {"data set": record.dataset, "split": record.split, "group": record.group}
+    yield from (f"its {name} is {stated[name]}, that of the data {fact}" for name, fact in truth.facts.items()
+                if stated[name] != fact)  # fmt: skip
+    for part, words in (("train", "training"), ("test", "test")):
+        if unknown := {*cell.cameras[part]} ^ truth.views[part]:
             yield f"its {words} views are not those of the data: {first_few(unknown)}"
-    there = [view for view in scene.test if view.name in cell.test_cameras]
-    of_modality = {THERMAL: [one.name for one in there if not same_truth(cell.truth(one.name), truth[one.name])]}
-    for modality in OTHERS:
-        kind = files_of(modality).targets
-        of_modality[modality] = [
-            one.name
-            for one in there
-            if cell.has(kind, one.name) and not _is_picture_of(one, modality, cell.picture(kind, one.name))
-        ]
-    for modality, other in of_modality.items():
-        if other:
-            what = "ground truth" if modality == THERMAL else f"{LABELS[modality]} ground truth"
-            yield f"the {what} of {len(other)} of {len(there)} test views is not that of {title}: {first_few(other)}"
-    stated, span = record.temperature_range, degC_of_values(scene)
-    if not (stated == span or (stated and span and np.allclose(stated, span, rtol=0, atol=MAX_DEGC))):
-        yield f"temperature_range is {stated}, by the data {span}"
-    by_data = replace(record)
-    state_assumptions(by_data, scene)
-    state_values(by_data, scene)
-    if record.assumed and (record.assumed.keys() != by_data.assumed.keys() or record.in_palette != by_data.in_palette):
-        yield f"what it assumes ({first_few(record.assumed)}) is not what the data need ({first_few(by_data.assumed)})"
+    views = [view for view in cell.test_cameras if view in truth.views["test"]]
+    for modality, images in truth.images.items():
+        if other := [view for view in views if not _is_truth(cell, view, modality, images)]:
+            what = f"{'' if modality == THERMAL else f'{LABELS[modality]} '}ground truth"
+            scene = f"{record.dataset}/{record.scene}"
+            yield f"the {what} of {len(other)} of {len(views)} test views is not that of {scene}: {first_few(other)}"
+    of_record, span = record.temperature_range, truth.range
+    if not (of_record == span or (of_record and span and np.allclose(of_record, span, rtol=0, atol=MAX_DEGC))):
+        yield f"temperature_range is {of_record}, by the data {span}"
+    if record.assumed and record.in_palette != truth.in_palette:
+        yield f"it says that images are {'' if record.in_palette else 'not '}in a palette; the data do not"
 
 
-def _is_picture_of(view: View, modality: str, stored: np.ndarray) -> bool:
-    """Return whether a stored picture (H, W, C) uint8 is the view's image of a modality, but for rounding."""
-    image = image_of(view, modality)
-    return image is not None and same_truth(stored, to_8bit(image))
+def _is_truth(cell: CellFolder, view: str, modality: str, images: dict[str, np.ndarray]) -> bool:
+    """Return whether a stored ground truth, if there is one, is that of the data."""
+    if modality == THERMAL:
+        return same_truth(cell.truth(view), images[view])
+    kind = files_of(modality).targets
+    return not cell.has(kind, view) or (view in images and same_truth(cell.picture(kind, view), images[view]))

@@ -54,7 +54,8 @@ def color_bar(frame: RenderedLook, cells: Mapping[str, ViewedCell]) -> str:
     if whole is None:
         return ""
     ends = [np.array([whole[0] + share * (whole[1] - whole[0])]) for share in look.span]
-    texts = [value_text(end, look.quantity, cells[frame.parts[0].cell].degC) for end in ends]
+    known = [cells[part.cell].degC for part in frame.parts]
+    texts = [value_text(end, look.quantity, None if None in known else known[0]) for end in ends]
     table = lookup_table(look.colors)[np.linspace(0, 255, STOPS).astype(int)]
     stops = ",".join(f"rgb({r},{g},{b})" for r, g, b in table)
     return (

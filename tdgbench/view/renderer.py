@@ -176,15 +176,16 @@ class Renderer:
         return determinacy
 
     def _part(self, name: str, look: Look, camera: Camera, first: str) -> CellRender:
-        """Render a cell; equal °C have the colours that they have in the cell `first`."""
+        """Render a cell; equal °C, where they are known, have the colours that they have in the cell `first`."""
         values = self.values(name, look.quantity, camera)
         whole = self.range_of(name, look.quantity)
         if whole is None:
             picture = to_8bit(values)
         else:
             low, high = (whole[0] + share * (whole[1] - whole[0]) for share in look.span)
-            if look.quantity == THERMAL and name != first:
-                low, high = in_range(low, high, self.cells[first].degC, self.cells[name].degC)
+            known = [self.cells[one].degC for one in (first, name)]
+            if look.quantity == THERMAL and None not in known:  # else each has the colours of its own range
+                low, high = in_range(low, high, *known)
             picture = colored(values[..., 0], look.colors, low, high)
         if look.guesses and THERMAL in self.cells[name].models:  # what is a guess is known of Gaussians
             picture = shaded(picture, self.determinacy(name, camera))

@@ -76,6 +76,8 @@ def test_methods_of_other_ranges_of_temperature_share_a_scale(tmp_path):
     assert scale.error == pytest.approx(np.quantile(cells["a"].pictures("v").error, 0.95), 0.05)
     with pytest.raises(ValueError, match="unknown"):
         view_pictures(cells["c"], "v", scale)
+    palette = drawn_cell(tmp_path / "palette", "RGB", scores={"psnr": 20.0})
+    assert (view_pictures(palette, "v", scale).render == 0).all()  # its colours need no scale
 
 
 @pytest.mark.parametrize("mode", ["L", "RGB"])

@@ -94,6 +94,10 @@ def test_a_window_of_shown_images(small_gray_scene, tmp_path, bits):
         assert scene.assumed["values"].endswith(
             f"{low:g} and {high:g} °C (data.temperature), of files that state 14 to 54 °C"
         )
+        shown = [one.thermal if one.valid is None else one.thermal[one.valid] for one in plain.views]
+        degC = np.concatenate([14 + 40 * one.ravel().astype(np.float64) for one in shown])
+        share = ((degC < low - 1e-5) | (degC > high + 1e-5)).mean()
+        assert f"; {share:.2%} of the pixels are clipped" in scene.assumed["range"]
         for view, whole in zip(scene.views, plain.views, strict=True):
             expected = np.clip((14 + 40 * whole.thermal.astype(np.float64) - low) / (high - low), 0, 1)
             if view.valid is not None:
@@ -115,6 +119,8 @@ def test_a_scale_of_counts_that_are_not_there(small_gray_scene, tmp_path, dtype)
     state(folder, min=14.0, max=54.0, degC_per_count=0.5)
     with pytest.raises(SceneError, match=r"thermal holds no 16-bit images, to which degC_per_count .* belongs; remove"):
         load(folder)
+    (folder / "raw_images").mkdir()  # it is of these
+    assert load(folder).temperature is not None
 
 
 @pytest.mark.parametrize("suffix", [".tiff", ".png"])

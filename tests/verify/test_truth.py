@@ -75,7 +75,7 @@ def test_another_data_set_s_name_is_found(small_results, tmp_path):
     [
         ({"split": "every_8th"}, "its split is every_8th, that of the data eighty_twenty"),
         ({"group": "night"}, "its group is night, that of the data "),
-        ({"assumed": {"values": "palette (pseudo-colour), not temperature"}}, "is not what the data need"),
+        ({"assumed": {"values": "palette (pseudo-colour), not temperature"}}, "it says that images are in a palette"),
         ({"prior": {"made_from": "thermal images"}}, "prior.made_from is 'thermal images', its configuration has"),
         ({"parts": {"thermal": {"gaussians": 300, "parameters": 1}}}, "parts.thermal.parameters is 1, its model has"),
     ],
@@ -85,6 +85,16 @@ def test_facts_that_data_or_files_contradict_are_found(fields, said, small_resul
     shutil.copytree(small_results / OURS, cell)
     replace(read_record(cell), **fields).write(cell)
     assert any(said in problem for problem in verify(tmp_path / "a").problems)
+
+
+def test_records_that_do_not_state_what_a_prior_is_made_from_in_their_configuration(small_results, tmp_path):
+    """As those of 0.8.0."""
+    cell = tmp_path / "a" / OURS
+    shutil.copytree(small_results / OURS, cell)
+    record = read_record(cell)
+    del record.config["prior"]["made_from"]
+    record.write(cell)
+    assert not any("made_from" in problem for problem in verify(tmp_path / "a").problems)
 
 
 def test_a_forged_rgb_truth_and_left_out_training_views_are_found(small_results, tmp_path):
@@ -126,7 +136,7 @@ def test_a_built_in_scene_inside_another_data_set_is_made_again(is_named, small_
     drifting = {"_target_": "tdgbench.scenes.synthetic.drifting.DriftingDataset", "errors": errors}
     record.config["dataset"] = {**drifting, "inner": record.config["dataset"]}
     with truth.true_data(tmp_path if is_named else None) as data:
-        assert data.truth_of(record).images.keys() == record.truth.keys() and not list(tmp_path.iterdir())
+        assert data.truth_of(record).images["thermal"].keys() == record.truth.keys() and not list(tmp_path.iterdir())
     monkeypatch.setattr(truth, "MOST_MADE", 1000)
     with truth.true_data(None) as data, pytest.raises(truth.NotCheckedError, match="takes long"):
         data.truth_of(record)

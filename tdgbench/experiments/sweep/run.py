@@ -47,8 +47,11 @@ class Sweep(Experiment):
 
     def start(self, cfg: DictConfig) -> None:
         """Write the plan, and end the run here if no job has anything to do."""
-        if "method" not in swept(cfg) and "init" not in swept(cfg):
-            check_cell_names(cfg, cfg.hydra.runtime.choices)
+        chosen = {
+            group: None if group in swept(cfg) else cfg.hydra.runtime.choices.get(group) for group in ("method", "init")
+        }
+        if "method" not in swept(cfg):
+            check_cell_names(cfg, chosen)
         jobs = Jobs(cfg)
         plan, cells, without_data = plan_sweep(cfg, jobs)
         folder, outcomes = Path(cfg.results) / cfg.name, finished_outcomes(cfg, jobs, plan)

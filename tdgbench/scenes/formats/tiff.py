@@ -34,7 +34,8 @@ ALPHA = (1, 2)  # of ExtraSamples: associated, unassociated
 LARGEST = 2**24  # of counts, beyond which float32 skips some
 SCALED = re.compile(r'<Item[^>]*role="(scale|offset)"[^>]*>\s*([-+.\deE]+)\s*<')
 UNIT = re.compile(r'<Item[^>]*role="unittype"[^>]*>([^<]*)<')
-UNIT_WORDS = re.compile(r"(?i)degrees?|deg|[^a-z]")  # besides its name
+OF_CELSIUS = {"", "c", "°c", "℃", "cel", "celsius", "centigrade", "degc", "deg c", "deg_c", "degree celsius",
+              "degrees celsius"}  # fmt: skip
 TLINEAR = re.compile(rb'TlinearGain(?:>|=")([\d.]+)')  # in XMP of FLIR's TIFF, which is not always well-formed
 
 
@@ -122,7 +123,7 @@ def _check_gdal(page: TiffPage, is_float: bool, path: Path) -> None:
     """Raise SceneError for values that GDAL scales, and for floats in another unit than °C."""
     metadata = str(page.tags.valueof(GDAL_METADATA, ""))[:100_000]
     for unit in UNIT.findall(metadata) if is_float else ():
-        if UNIT_WORDS.sub("", unit).lower() not in ("c", "celsius", ""):
+        if unit.strip().casefold() not in OF_CELSIUS:
             raise SceneError(f"{path} states that its unit is {shortened(unit, 30)}; export it as float TIFF in °C")
     gdal = {role: float(text) for role, text in SCALED.findall(metadata)}
     if (gdal.get("scale", 1.0), gdal.get("offset", 0.0)) != (1, 0):

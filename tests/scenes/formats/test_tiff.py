@@ -125,7 +125,7 @@ def item(role, text):
     return {"extratags": [(42112, 2, 0, f'<Item name="S" sample="0" role="{role}">{text}</Item>'.encode(), True)]}
 
 
-@pytest.mark.parametrize("unit", ["°C", "degC", "deg C", "Celsius", "degrees Celsius", ""])
+@pytest.mark.parametrize("unit", ["°C", "℃", "degC", "deg C", "Celsius", "degrees Celsius", "Cel", ""])
 def test_floats_in_celsius_by_their_unit(tmp_path, unit):
     tifffile.imwrite(tmp_path / "t.tif", CELSIUS, **item("unittype", unit))
     assert np.array_equal(decode(tmp_path / "t.tif").values[..., 0], CELSIUS)
@@ -156,6 +156,7 @@ def test_samples_that_do_not_fill_their_type(tmp_path, bits):
         ({"data": np.uint8(X), **item("offset", -10)}, "are scaled"),
         ({"data": CELSIUS, **item("unittype", "K")}, "its unit is K; export it as float TIFF in °C"),
         ({"data": CELSIUS, **item("unittype", "°F")}, "its unit is °F;"),
+        ({"data": CELSIUS, **item("unittype", "0.1 °C")}, "its unit is 0.1 °C;"),
     ],
 )  # fmt: skip
 def test_what_is_not_read_is_named(tmp_path, written, message):
